@@ -53,8 +53,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         The exit code.
     """
-    # Idle OpenMP threads that spin count as CPU seconds; this must be set before torch loads.
+    # Idle OpenMP threads that spin count as CPU seconds, and matrix products come out otherwise on
+    # other numbers of threads. Both must be set before NumPy and torch load.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     logging.captureWarnings(True)
     for logger in (_log, logging.getLogger("py.warnings")):
         logger.setLevel(logging.INFO)
@@ -143,7 +145,9 @@ def _add_reconstruct(subparsers: argparse._SubParsersAction[argparse.ArgumentPar
         help="turn, scale and shift the mesh to where the photographs show it",
     )
     parser.add_argument("--seed", type=int, help="seed of all random numbers, default 0")
-    parser.add_argument("--threads", type=positive, help="threads of torch, default one")
+    parser.add_argument(
+        "--threads", type=positive, help="cores to work on, default all; the result is the same"
+    )
     parser.add_argument(
         "--asset",
         type=path_argument,

@@ -21,6 +21,7 @@ from typing import Any
 from robir.jobs.client import detached
 from robir.pipeline.faults import stop_held, stop_requested
 from robir.pipeline.usage import Usage
+from robir.workers import CORES, available_cores
 from robir_bench.plan import BenchRun
 from robir_bench.runs import Scores, last_line, out_of_budget, read_scores, waits_for
 
@@ -87,6 +88,7 @@ class Crew:
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=subprocess.STDOUT,
+                env=os.environ | {CORES: str(max(1, available_cores() // self.jobs))},
                 **detached(),
             )
 

@@ -12,6 +12,7 @@ from appearance import synthetic
 
 from robir.appearance.config import AppearanceConfig
 from robir.appearance.light.problem import make_problem
+from robir.appearance.light.solver import fit, no_suns
 from robir.appearance.proof import Proof
 from robir.appearance.proven_suns import lead_in_errors, with_proven_suns
 from robir.appearance.solution import solve
@@ -63,7 +64,8 @@ def proven(scene, light, false_sun=0.0, without=()):
         sharp = torch.full((1, 3), false_sun)
         amplitudes = replace(found.light.amplitudes, sharp=sharp)
         found = replace(found, light=replace(found.light, amplitudes=amplitudes))
-    taken = with_proven_suns(tone, found, course)
+    sky = fit(problem, *no_suns(), CONFIG.iterations)
+    taken = with_proven_suns(tone, found, sky, course)
     (choice,) = [each for each in taken.choices if each.choice == "suns"]
     assert choice.chosen == len(taken.light.axes)
     return taken, found, choice

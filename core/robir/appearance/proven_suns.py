@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from robir.appearance.blocks import block_numbers, mean_error, mean_of, table_of
 from robir.appearance.light.lobes import log_ratio
 from robir.appearance.light.shade import LIGHT_ERROR, of_one_material
-from robir.appearance.light.solver import fit, no_suns, refit
+from robir.appearance.light.solver import Light, refit
 from robir.appearance.light.sunlight import Sunlight
 from robir.appearance.material.trial import Trial
 from robir.appearance.photometry.statistics import Pairs
@@ -42,19 +42,16 @@ _NUM_SAMPLES = 4000
 _MARGIN = -0.5
 
 
-def with_proven_suns(tone: ToneChoice, solution: Solution, course: Course) -> Solution:
+def with_proven_suns(tone: ToneChoice, solution: Solution, sky: Light, course: Course) -> Solution:
     """The solution, or that under the sky alone where photographs speak against its suns.
 
     Args:
         tone: Curves, the taken one first.
-        solution: Light and material under that.
+        solution: Light and material under that, with suns.
+        sky: Light under that without any.
         course: Of the stage's steps.
     """
-    number = len(solution.light.axes)
-    if not number or tone.scene.sun is not None:
-        return solution
-    config, problem = solution.config, tone.candidates[0].problem
-    sky = fit(problem, *no_suns(), config.iterations)
+    number, config = len(solution.light.axes), solution.config
     by_all = refit(solution.matte, sky, solution.told, config)
     plain = replace(solution, light=replace(by_all, history=(sky.loss,)))
     views = lead_in_errors(compared(plain, solution), CODE_ERROR)
@@ -63,6 +60,7 @@ def with_proven_suns(tone: ToneChoice, solution: Solution, course: Course) -> So
     is_proven, taken = leads > _MARGIN, solution
     if not is_proven:
         start = replace(sky, history=(sky.loss,))
+        problem = tone.candidates[0].problem
         taken = solve(problem, start, config, solution.seed, course)
     choice = Choice(
         choice="suns",

@@ -20,6 +20,7 @@ from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
 from robir.transport.observe import off_axis_codes
 from robir.transport.surfels import interpolate
+from robir.workers import side_by_side
 
 Floats = NDArray[np.float32]
 
@@ -177,7 +178,7 @@ def render_views(
     together = max(1, MOST_POINTS // (_PIXEL_RAYS**2 * largest))
     for start in range(0, len(views), together):
         group = views[start : start + together]
-        seen = [_Seen.of(view, surface, _PIXEL_RAYS) for view in group]
+        seen = side_by_side(lambda view: _Seen.of(view, surface, _PIXEL_RAYS), group)
         ends = np.cumsum([len(one.texel) for one in seen])[:-1]
         whole, matt = (
             np.split(radiance, ends) for radiance in _radiance(problem, light, gloss, seen, values)

@@ -20,6 +20,7 @@ from robir.geometry.mesh.triangles import Mesh
 from robir.steps import Step
 from robir.transport.baked import Transport
 from robir.transport.surfels import Surfels
+from robir.workers import num_workers
 
 Floats = NDArray[np.float32]
 
@@ -58,7 +59,9 @@ def smoothed(position: Floats, normal: Floats, surfels: Surfels) -> Floats:
     result = np.empty_like(normal)
     for start in range(0, len(position), CHUNK):
         part = slice(start, start + CHUNK)
-        _, near = tree.query(position[part], k=_NUM_SAMPLES, distance_upper_bound=_REACH)
+        _, near = tree.query(
+            position[part], _NUM_SAMPLES, distance_upper_bound=_REACH, workers=num_workers()
+        )
         others, own = known[near], normal[part]
         cosine = np.einsum("nkd,nd->nk", others, own).clip(-1, 1)
         weight = np.exp(-((np.arccos(cosine) / np.radians(_EDGE)) ** 2))

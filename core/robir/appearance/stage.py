@@ -9,14 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 from robir.appearance.config import AppearanceConfig
 from robir.appearance.last_word import LastWord
 from robir.appearance.light.known_paint import KnownPaint
 from robir.appearance.light.lobes import lobes_of
 from robir.appearance.light.problem import Problem, Scene, make_scene
-from robir.appearance.light.solver import Light
+from robir.appearance.light.solver import Light, fit, no_suns
 from robir.appearance.material.gloss import Gloss
 from robir.appearance.photometry.comparison import COMPARISON, Comparison
 from robir.appearance.proven_suns import with_proven_suns
@@ -43,6 +42,7 @@ from robir.jobs.paths import JobPaths, replacing, write_json
 from robir.steps import Course, Step, check_left_out
 from robir.transport.baked import Transport
 from robir.transport.observe import MASK_INSIDE
+from robir.workers import meanwhile
 
 REVISION = 89
 
@@ -56,25 +56,12 @@ _HELD_OUT_SIDE = 400  # longer side of the held-out views at most (pixels)
 def run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     """Choose the tone curve, solve light and materials, bake the textures.
 
-    One thread, whatever the machine has: the sums of the solve are short, and a result that
-    changes with the number of threads could not be resumed or repeated.
-
     Args:
         context: Paths and settings.
 
     Returns:
         Figures for the manifest.
     """
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        return _run(context)
-    finally:
-        torch.set_num_threads(threads)
-
-
-def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
-    """The stage, on one thread."""
     config, reporter, folder = context.config, context.reporter, context.paths.stage("appearance")
     check_left_out(STEPS, config.without, "appearance.without")
     course = Course(config.without)
@@ -135,8 +122,11 @@ def _run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
 def _solved(tone: ToneChoice, config: AppearanceConfig, seed: int, course: Course) -> Solution:
     """Light and material under the curve that was chosen."""
     first = tone.candidates[0]
-    found = solve(first.problem, first.light, config, seed, course)
-    return with_proven_suns(tone, found, course)
+    if not len(first.light.axes) or tone.scene.sun is not None:  # no sun, or a sun that is told
+        return solve(first.problem, first.light, config, seed, course)
+    with meanwhile(lambda: fit(first.problem, *no_suns(), config.iterations)) as sky:
+        found = solve(first.problem, first.light, config, seed, course)
+    return with_proven_suns(tone, found, sky(), course)
 
 
 def with_known_curve(config: AppearanceConfig, capture: Capture) -> AppearanceConfig:

@@ -31,6 +31,7 @@ from robir.geometry.mesh.unwrap import rasterise_atlas
 from robir.steps import Course, Step
 from robir.transport.observe import spread_views
 from robir.transport.surfels import interpolate
+from robir.workers import side_by_side
 
 Floats = NDArray[np.float32]
 
@@ -101,7 +102,7 @@ def textured(
     texels = Texels(position=position, normal=normal)
     # a pixel about as large as a texel
     spread = spread_views(capture.train, _ALBEDO_VIEWS)
-    views = tuple(resize_view(view, side) for view in spread)
+    views = tuple(side_by_side(lambda view: resize_view(view, side), spread))
     start = Texture(
         problem=problem,
         light=light,

@@ -25,6 +25,7 @@ from robir.errors import (
 from robir.jobs import client
 from robir.jobs.library import LibraryPaths, preferred
 from robir.pipeline.faults import stop_held
+from robir.workers import CORES, available_cores
 
 _PERIOD = 0.5
 """Seconds between two looks at the result folders of what is at work."""
@@ -51,10 +52,12 @@ class Limits:
     Attributes:
         jobs: Most captures at a time.
         memory: Bytes of main memory that all of them together may need.
+        cores: That those at a time share.
     """
 
     jobs: int
     memory: int
+    cores: int = field(default_factory=available_cores)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -130,12 +133,14 @@ class LocalBatch:
         return None
 
     def _start(self, item: Item) -> None:
+        together = min(self.limits.jobs, len(self._waiting) + len(self._running))
         self._waiting.remove(item)
         item.tries += 1
         name = item.standing.name
+        environment = worker_environment(self.limits.cores // together)
         with stop_held():
             try:
-                client.start(self.program, item.request, worker_environment())
+                client.start(self.program, item.request, environment)
             except client.START_ERRORS as error:
                 self._settle(item, _failed(name, error))
             else:
@@ -196,13 +201,13 @@ class LocalBatch:
                 time.sleep(_PERIOD if self._running else 0.0)
 
 
-def worker_environment() -> dict[str, str]:
-    """Variables of a process: one thread for all libraries, unless the user says otherwise.
+def worker_environment(cores: int | None = None) -> dict[str, str]:
+    """Variables of a process: its cores, and one thread for libraries unless the user says other.
 
-    Sums come out otherwise on other numbers of threads, and results shall not depend on how many
-    captures are done at a time.
+    Sums come out otherwise on other numbers of their threads. None leaves it all cores.
     """
-    return {"OMP_NUM_THREADS": "1", **os.environ}
+    share = {} if cores is None else {CORES: str(max(1, cores))}
+    return {"OMP_NUM_THREADS": "1", **os.environ, **share}
 
 
 def _failed(name: str, error: RobirError) -> Standing:

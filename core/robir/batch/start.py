@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 import time
 from argparse import Namespace
@@ -31,6 +30,7 @@ from robir.jobs.paths import STAGES
 from robir.pipeline.device import machine
 from robir.pipeline.faults import stop_requested
 from robir.pipeline.reporter import Display
+from robir.workers import available_cores
 
 _STATE_PERIOD = 2.0
 _PAGE_PERIOD = 20.0
@@ -131,17 +131,10 @@ def _limits(options: Namespace, plan: Plan) -> Limits:
     jobs = options.jobs
     if jobs is None:
         is_shared = plan.options.device != "cpu" and Path("/dev/nvidia0").exists()
-        jobs = 1 if is_shared else _cores()
+        jobs = 1 if is_shared else available_cores()
     free = machine("cpu").free_memory_bytes
     memory = parse_size(options.memory) if options.memory else int(_SPARE * free)
     return Limits(jobs=jobs, memory=memory or 1 << 62)
-
-
-def _cores() -> int:
-    """Processor cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def _do_one(plan: Plan, options: Namespace, paths: LibraryPaths, program: Sequence[str]) -> int:

@@ -21,6 +21,7 @@ from robir.jobs.names import file_in
 from robir.jobs.paths import JobPaths, replacing, write_json
 from robir.jobs.records import CAMERA, MATRIX, NUMBERS, read_record
 from robir.maths.similarity import Similarity
+from robir.workers import side_by_side
 
 _LENS = ("width", "height", "fx", "fy", "cx", "cy")
 _BOUNDS = {"centre": NUMBERS, "radius": float, "origin": str}
@@ -40,11 +41,14 @@ _FRAME = {"turn": MATRIX, "scale": float, "shift": NUMBERS, "bounds": _BOUNDS}
 
 def save_capture(folder: Path, capture: Capture) -> None:
     """Write a capture in its own frame; capture.json last, every file as a whole."""
-    for view in capture.views:
+
+    def save(view: View) -> None:
         # Separate layers keep the colour under a transparent mask.
         picture = Image.fromarray(np.dstack([view.image_display, view.mask]), "RGBA")
         with replacing(view_path(folder, view.name)) as temporary:
             picture.save(temporary, format="PNG", compress_level=1)
+
+    side_by_side(save, capture.views)
     table = {} if capture.table is None else asdict(capture.table)
     plain = {
         "format": capture.format,
@@ -62,7 +66,7 @@ def load_capture(folder: Path) -> Capture:
     """What `save_capture` wrote: the capture in its own frame; `StorageError` where damaged."""
     with _reading(folder, "capture"):
         plain = read_record(folder / "capture.json", _CAPTURE)
-        views = tuple(_view(folder, entry) for entry in plain["views"])
+        views = tuple(side_by_side(lambda entry: _view(folder, entry), plain["views"]))
         return Capture(
             source=Path(plain["source"]),
             format=plain["format"],
@@ -149,7 +153,9 @@ def load_settled(paths: JobPaths) -> Capture:
     """
     capture = load_capture(paths.stage("capture"))
     if paths.cut_masks.exists():
-        views = tuple(replace(view, mask=_cut_mask(paths, view)) for view in capture.views)
+        masks = side_by_side(lambda view: _cut_mask(paths, view), capture.views)
+        pairs = zip(capture.views, masks, strict=True)
+        views = tuple(replace(view, mask=mask) for view, mask in pairs)
         capture = replace(capture, views=views)
     moved = _load_frame(paths)
     return capture if moved is None else replace(capture.moved(moved[0]), bounds=moved[1])

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -20,11 +21,15 @@ from robir.capture.images.linear import LINEAR, common_exposure
 from robir.capture.images.reading import MaskSource, Reading, read_view
 from robir.capture.refusal import CaptureRefusedError, grouped, note, refuse, some
 from robir.capture.support import Plane
+from robir.workers import blocks, side_by_side
 
 # a photograph of so many pixels is decoded in a second, whatever the others have
 HARMLESS_PIXELS = 16_000_000
 MAX_RATIO = 16  # times the pixels of a capture's usual photograph that one may have
 Array = NDArray[np.float64]
+
+_TOGETHER = 8  # photographs between two reports of progress
+_AT_ONCE = 4  # of these, read at a time: each takes ten times its pixels' bytes and more
 
 # told the share of the work done, in [0, 1], and what is being done
 Progress = Callable[[float, str], None]
@@ -133,7 +138,7 @@ def load_views(
     max_side: int,
     progress: Progress,
 ) -> Loaded:
-    """Read photographs one by one: undistorted, cut to the object and reduced.
+    """Read photographs, a few at a time: undistorted, cut to the object and reduced.
 
     Poses of the frames are without fault. `masks`, or their files, by frame name win over the
     format's own and over alpha; `max_side` is what is kept of what shows the object, pixels.
@@ -141,13 +146,25 @@ def load_views(
     readings, findings = [], []
     most = _most_pixels(chosen)
     exposure = _exposure([frame for frame, _ in chosen])
-    for done, (frame, split) in enumerate(chosen):
+
+    def read(pair: tuple[Frame, Split]) -> Reading | CaptureRefusedError:
+        frame, split = pair
         try:
             _refuse_odd_size(frame, most)
-            readings.append(read_view(frame, split, masks.get(frame.name), max_side, exposure))
+            return read_view(frame, split, masks.get(frame.name), max_side, exposure)
         except CaptureRefusedError as refusal:
-            findings.extend(refusal.findings)
-        progress((done + 1) / len(chosen), f"reading {frame.name}")
+            return refusal
+
+    for part in blocks(len(chosen), _TOGETHER):
+        with warnings.catch_warnings():  # decoders change the filters that threads share
+            warnings.simplefilter("ignore")
+            found = side_by_side(read, chosen[part], _AT_ONCE)
+        for one in found:
+            if isinstance(one, CaptureRefusedError):
+                findings.extend(one.findings)
+            else:
+                readings.append(one)
+        progress(part.stop / len(chosen), f"reading {chosen[part.stop - 1][0].name}")
     turned = [reading.view.name for reading in readings if reading.is_turned]
     message = f"{len(turned)} photographs were turned upright as their EXIF data says"
     findings += some("note", "exif-orientation", turned, message)

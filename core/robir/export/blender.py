@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from robir.errors import CancelledError, DeviceError, RobirError, StorageError, UsageError
+from robir.workers import num_workers
 
 _ERRORS: dict[int, type[RobirError]] = {
     error.exit_code: error for error in (UsageError, DeviceError, CancelledError, StorageError)
@@ -35,6 +36,9 @@ _PATIENCE = 20.0
 
 _FOLLOWED = "ROBIR_FOLLOWED"
 """Tells the command that its standard input ends with whoever waits for it, and it then, too."""
+
+_THREADS = "OMP_NUM_THREADS"
+"""Tells Blender how many cores there are for it."""
 
 CURE = "install it with: pip install 'bpy>=4.5,<5.1' (Python 3.11), then run again with --resume"
 
@@ -101,7 +105,7 @@ def run_headless(arguments: Sequence[str], on_progress: Callable[[float, str], N
             text=True,
             encoding="utf-8",
             errors="replace",
-            env={**environment, _FOLLOWED: "1"},
+            env={**environment, _FOLLOWED: "1", _THREADS: str(num_workers())},
         ) as process,
     ):
         try:

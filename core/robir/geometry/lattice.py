@@ -174,11 +174,7 @@ class _Interpolate(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, None, None]:
         index, weight = ctx.saved_tensors
-        starts = np.arange(0, index.numel() + 1, index.shape[1], dtype=np.int32)
-        matrix = scipy.sparse.csr_matrix(
-            (weight.numpy().ravel(), index.numpy().ravel(), starts), shape=(len(index), ctx.count)
-        )
-        return torch.from_numpy(matrix.T @ gradients[0].contiguous().numpy()), None, None
+        return spread(ctx.count, index, weight, gradients[0]), None, None
 
 
 def interpolate(rows: Tensor, index: Tensor, weight: Tensor) -> Tensor:
@@ -186,6 +182,19 @@ def interpolate(rows: Tensor, index: Tensor, weight: Tensor) -> Tensor:
     if rows.device.type == "cpu":
         return _Interpolate.apply(rows, index, weight)
     return torch.einsum("pkc,pk->pc", rows[index.long()], weight)
+
+
+def spread(count: int, index: Tensor, weight: Tensor, values: Tensor) -> Tensor:
+    """The transpose of `interpolate`: sums (count, C) of what values (P, C) give to each row."""
+    if values.device.type != "cpu":
+        shares = (weight[..., None] * values[:, None]).flatten(0, 1)
+        result = values.new_zeros(count, values.shape[1])
+        return result.index_add_(0, index.reshape(-1), shares)
+    starts = np.arange(0, index.numel() + 1, index.shape[1], dtype=np.int32)
+    matrix = scipy.sparse.csr_matrix(
+        (weight.numpy().ravel(), index.numpy().ravel(), starts), shape=(len(index), count)
+    )
+    return torch.from_numpy(matrix.T @ values.contiguous().numpy())
 
 
 def resample(values: Tensor, source: Lattice, target: Lattice) -> Tensor:

@@ -26,6 +26,7 @@ from robir.geometry.mesh.unwrap import unwrap
 from robir.geometry.rays import Photo, RaySampler, reduce_view
 from robir.geometry.selection import Dense, Selection
 from robir.steps import Course, Step
+from robir.workers import side_by_side
 
 
 def evened(capture: Capture) -> Capture:
@@ -237,7 +238,7 @@ class Levels:
         generator: torch.Generator,
         course: Course,
     ) -> None:
-        photos = [reduce_view(view, config.image_side) for view in capture.train]
+        photos = side_by_side(lambda view: reduce_view(view, config.image_side), capture.train)
         self.sampler = RaySampler(photos, device, generator)
         hull = object_hull(capture, photos, config.hull_cells)
         start = Start(capture=capture, config=config, generator=generator, photos=photos, hull=hull)

@@ -28,6 +28,7 @@ from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.rays import Photo
 from robir.maths.vectors import farthest_points
+from robir.workers import side_by_side
 
 Array = NDArray[np.floating]
 
@@ -95,10 +96,13 @@ class Predictions:
     def _both(self, mesh: Mesh) -> tuple[list[NDArray[np.float32]], list[NDArray[np.float32]]]:
         """Errors without and with what the surface mirrors."""
         tracer = EmbreeTracer(mesh.vertices, mesh.faces)
-        spots = {own: self._spots(tracer, mesh, own) for own in self._judges}
+        found = side_by_side(lambda own: self._spots(tracer, mesh, own), self._judges)
+        spots = dict(zip(self._judges, found, strict=True))
         maps = self._maps(tracer, list(spots.values()))
         nothing = np.zeros((_SIDE * _SIDE + 1, 3))
-        pairs = [self._judged(tracer, own, spots[own], (nothing, maps[own])) for own in spots]
+        pairs = side_by_side(
+            lambda own: self._judged(tracer, own, spots[own], (nothing, maps[own])), spots
+        )
         return [without for without, _ in pairs], [told for _, told in pairs]
 
     def _spots(self, tracer: EmbreeTracer, mesh: Mesh, own: int) -> _Spots:
@@ -119,14 +123,17 @@ class Predictions:
         every = max(1, total // _LEARNT_POINTS)
         points = np.concatenate([one.points for one in spots])[::every]
         normals = np.concatenate([one.normals for one in spots])[::every]
-        shown = [self._shown(tracer, other, points, normals) for other in range(len(self._cameras))]
+        shown = side_by_side(
+            lambda other: self._shown(tracer, other, points, normals), range(len(self._cameras))
+        )
         colours, seen, cells = (np.stack(column, axis=1) for column in zip(*shown, strict=True))
-        maps = {}
-        for own in self._judges:
+
+        def learnt(own: int) -> Array:
             told = seen.copy()
             told[:, own] = 0.0
-            maps[own] = learnt_map(colours, told, cells)
-        return maps
+            return learnt_map(colours, told, cells)
+
+        return dict(zip(self._judges, side_by_side(learnt, self._judges), strict=True))
 
     def _judged(
         self, tracer: EmbreeTracer, own: int, spots: _Spots, maps: tuple[Array, ...]

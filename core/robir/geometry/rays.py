@@ -82,20 +82,25 @@ class RaySampler:
                 [photo.premultiplied_display[wanted], photo.coverage[wanted, None]], axis=1
             )
             targets.append(np.round(values * 255.0).astype(np.uint8))
-        self._views = torch.from_numpy(np.concatenate(views))
-        self._pixels = torch.from_numpy(np.concatenate(pixels))
-        self._targets = torch.from_numpy(np.concatenate(targets))
+        self._views, self._pixels, self._targets = (
+            torch.from_numpy(np.concatenate(parts)).to(device) for parts in (views, pixels, targets)
+        )
+        self._device = device
         cameras = [photo.camera for photo in photos]
         self.follow(cameras)
-        self._lenses = torch.tensor([[c.fx, c.fy, c.cx, c.cy] for c in cameras]).float()
-        self._device = device
+        lenses = torch.tensor([[c.fx, c.fy, c.cx, c.cy] for c in cameras]).float()
+        self._lenses = lenses.to(device)
         self._generator = generator
-        self._order = torch.randperm(len(self._views), generator=generator)
-        self._next = 0
+        self._shuffle()
+
+    def _shuffle(self) -> None:
+        order = torch.randperm(len(self._views), generator=self._generator)
+        self._order, self._next = order.to(self._device), 0
 
     def follow(self, cameras: list[Camera]) -> None:
         """Take the poses of other cameras, one a photograph."""
-        self._poses = torch.tensor(np.stack([c.camera_to_world for c in cameras])).float()
+        poses = torch.tensor(np.stack([c.camera_to_world for c in cameras])).float()
+        self._poses = poses.to(self._device)
 
     def draw(self, count: int) -> tuple[Tensor, Tensor, Tensor]:
         """Draw rays: origins and unit directions (R, 3), unit frame, and targets (R, 4).
@@ -104,8 +109,7 @@ class RaySampler:
         come back only if the capture has fewer pixels.
         """
         if self._next + count > len(self._order):
-            self._order = torch.randperm(len(self._views), generator=self._generator)
-            self._next = 0
+            self._shuffle()
         chosen = self._order[self._next : self._next + count]
         self._next += count
         view = self._views[chosen].int()
@@ -118,5 +122,4 @@ class RaySampler:
         directions = torch.einsum("rij,rj->ri", pose[:, :3, :3], local)
         directions = torch.nn.functional.normalize(directions, dim=1)
         target = self._targets[chosen].float() / 255.0
-        device = self._device
-        return pose[:, :3, 3].contiguous().to(device), directions.to(device), target.to(device)
+        return pose[:, :3, 3].contiguous(), directions, target

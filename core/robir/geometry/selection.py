@@ -12,6 +12,8 @@ prediction.py, and what one bends more than another speaks against it.
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import NamedTuple
 
 import numpy as np
@@ -27,6 +29,7 @@ from robir.geometry.refine.correlation import pixel_size
 from robir.geometry.refine.step import refine
 from robir.geometry.stereo.fusion import stereo_surface
 from robir.jobs.choice import Choice
+from robir.workers import meanwhile, side_by_side
 
 STEREO, HULL, FIELD = "by depth maps", "by masks alone", "by a fit of field and colours"
 
@@ -118,8 +121,23 @@ class Selection:
         self._views, self._predictions = views, Predictions(photos)
         self._hulls, self._config, self._holds_masks = hulls, config, holds_masks
         self._is_done = config.stereo_side == 0
+        self._stereo = self._by_depth_maps
         self.best: Candidate | None = None
         self.choices: tuple[Choice, ...] = ()
+
+    @contextmanager
+    def prepared(self) -> Iterator[None]:
+        """Find beside the block what `beats` compares with."""
+        if self._is_done:
+            yield
+            return
+        with meanwhile(self._by_depth_maps) as self._stereo:
+            yield
+
+    def _by_depth_maps(self) -> Sampled:
+        side = self._config.stereo_side
+        compared = side_by_side(lambda view: reduce_view(view, side), self._views)
+        return stereo_surface(compared, self._hulls[0], holds_masks=self._holds_masks)
 
     def is_mirror(self, surface: Sampled) -> bool:
         """Whether what is mirrored makes predictions better by more than a standard error."""
@@ -140,9 +158,7 @@ class Selection:
         fitted = smooth_surface(field)
         errors, bends = self._predictions.errors(fitted), bending(fitted)
         candidates = []
-        compared = [reduce_view(view, self._config.stereo_side) for view in self._views]
-        stereo = stereo_surface(compared, self._hulls[0], holds_masks=self._holds_masks)
-        surfaces = {STEREO: stereo, HULL: self._hulls[1]}
+        surfaces = {STEREO: self._stereo(), HULL: self._hulls[1]}
         for name, surface in surfaces.items():
             mesh = smooth_surface(surface)
             ahead, more = lead(errors, self._predictions.errors(mesh)), bends / bending(mesh)
@@ -166,7 +182,7 @@ class Selection:
 def refined(best: Candidate, views: tuple[View, ...], config: GeometryConfig) -> Dense:
     """A surface moved to where patches agree, if photographs then predict each other better."""
     mesh = best.mesh
-    photos = [reduce_view(view, max(config.refine_sides)) for view in views]
+    photos = side_by_side(lambda view: reduce_view(view, max(config.refine_sides)), views)
     moved = refine(mesh, views, config.refine_sides)
     # at the size that it was refined by: half of it does not show what it gained
     predictions = Predictions(photos)

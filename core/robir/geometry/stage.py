@@ -156,7 +156,8 @@ def reconstruct(
             watch(share, present)
 
     start = levels.begun._replace(values=levels.begun.values.to(device))
-    field = fit(levels.sampler, start, config, generator, progress, levels)
+    with levels.selection.prepared():
+        field = fit(levels.sampler, start, config, generator, progress, levels)
     cell = field.lattice.cell
     best = levels.selection.best
     if best is not None:

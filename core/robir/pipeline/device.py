@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Chooses the device and the number of threads that torch works with, and says what they are."""
+"""Chooses the device and how many threads work side by side, and says what they are."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Literal
 
 from robir.errors import DeviceError
+from robir.workers import use_workers
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -19,7 +20,7 @@ class Execution:
 
     Attributes:
         device: Torch device, "cpu" or "cuda".
-        threads: Threads of one torch operation.
+        threads: That work side by side, see `robir.workers`.
     """
 
     device: str
@@ -44,23 +45,25 @@ class Machine:
 def choose_execution(asked: Literal["cpu", "cuda", "auto"], threads: int | None) -> Execution:
     """The device to work on; also sets the number of threads.
 
+    An operation of torch has one thread, whatever their number: sums split over threads come out
+    otherwise, and operations of a fit are so short that waking a second one costs more than it
+    saves.
+
     Args:
         asked: "auto" takes a CUDA device where there is one.
-        threads: Threads of one torch operation. None takes one: sums split over threads come out
-            otherwise, and the operations of a fit are so short that waking a second thread costs
-            more than it saves.
+        threads: That work side by side; None takes all cores there are.
 
     Raises:
         DeviceError: If CUDA is asked for and there is none.
     """
     import torch
 
-    torch.set_num_threads(threads or 1)
+    torch.set_num_threads(1)
     has_cuda = torch.cuda.is_available()
     if asked == "cuda" and not has_cuda:
         raise DeviceError(_why_no_cuda())
     device = "cuda" if has_cuda and asked != "cpu" else "cpu"
-    return Execution(device=device, threads=torch.get_num_threads())
+    return Execution(device=device, threads=use_workers(threads))
 
 
 def machine(device: str) -> Machine:

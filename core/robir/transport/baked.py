@@ -22,6 +22,7 @@ from robir.transport.config import TransportConfig
 from robir.transport.observe import Observations, observe, spread_views
 from robir.transport.surfels import Surfels, sample_surfels
 from robir.transport.visibility import Visibility, trace_visibility
+from robir.workers import side_by_side
 
 _FORMS = {
     "surfels.npz": {
@@ -149,9 +150,8 @@ def bake(mesh: Mesh, views: tuple[View, ...], config: TransportConfig, seed: int
         The transport.
     """
     tracer = EmbreeTracer(mesh.vertices, mesh.faces)
-    chosen = tuple(
-        resize_view(view, config.observation_side) for view in spread_views(views, config.max_views)
-    )
+    spread, side = spread_views(views, config.max_views), config.observation_side
+    chosen = tuple(side_by_side(lambda view: resize_view(view, side), spread))
     surfels, observations = _seen_surfels(tracer, mesh, chosen, config, seed)
     directions = fibonacci_sphere(config.num_directions).numpy().astype(np.float32)
     visibility = trace_visibility(mesh, tracer, surfels, directions, RAY_OFFSET)

@@ -16,6 +16,7 @@ from robir.capture.camera import Camera
 from robir.capture.capture import View
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.maths.vectors import farthest_points
+from robir.workers import side_by_side
 
 Floats = NDArray[np.float32]
 
@@ -113,8 +114,9 @@ def observe(
     weight = np.zeros((count, len(views)), np.float32)
     clipped = np.zeros((count, len(views), 3), bool)
     off_axis = np.zeros((count, len(views)), np.uint8)
-    for index, view in enumerate(views):
-        camera = view.camera
+
+    def read(index: int) -> None:
+        view, camera = views[index], views[index].camera
         towards = camera.position - position
         distance = np.linalg.norm(towards, axis=1)
         cosine = np.einsum("nd,nd->n", towards, normal) / distance
@@ -133,6 +135,8 @@ def observe(
         clipped[kept, index] = top[whole]
         weight[kept, index] = cosine[kept]
         off_axis[kept, index] = off_axis_codes(camera, pixels[whole])
+
+    side_by_side(read, range(len(views)))
     centres = np.stack([view.camera.position for view in views]).astype(np.float32)
     return Observations(
         display=display,

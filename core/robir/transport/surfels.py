@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from robir.geometry.mesh.triangles import Mesh
+from robir.workers import num_workers
 
 Floats = NDArray[np.float32]
 
@@ -58,7 +59,7 @@ class Surfels:
         scale = NORMAL_REACH / 2
         tree = cKDTree(np.concatenate([self.position, scale * self.normal], axis=1))
         query = np.concatenate([position, scale * normal], axis=1)
-        return tree.query(query, k=count)[1]
+        return tree.query(query, k=count, workers=num_workers())[1]
 
     def shared_nearest(self, position: Floats, normal: Floats) -> NDArray[np.int64]:
         """Samples (N,) as `nearest`, in less than half its time where points (N, 3) crowd.

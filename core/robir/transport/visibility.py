@@ -14,6 +14,7 @@ gives the sparse matrix G with indirect irradiance E_ind = G @ radiance.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,7 @@ from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
 from robir.maths.vectors import tangents
 from robir.transport.surfels import Surfels, interpolate
+from robir.workers import blocks, side_by_side
 
 Floats = NDArray[np.float32]
 
@@ -74,26 +76,25 @@ def trace_visibility(
     num_surfels, num_directions = len(surfels), len(directions)
     weight = 4 * np.pi / num_directions
     seen = np.zeros((num_surfels, num_directions), bool)
-    rows, columns, values = [], [], []
-    step = max(1, CHUNK // num_directions)
-    for start in range(0, num_surfels, step):
-        normal = surfels.normal[start : start + step]
+
+    def traced(part: slice) -> tuple[NDArray[Any], ...]:
+        start, normal = part.start, surfels.normal[part]
         cosine = normal @ directions.T
         local, direction = np.nonzero(cosine > 0)
-        origin = surfels.position[start : start + step] + offset * normal
+        origin = surfels.position[part] + offset * normal
         hits = tracer.first_hits(origin[local], directions[direction])
         free = hits.face < 0
         seen[start + local[free], direction[free]] = True
         face, barycentric = hits.face[~free], hits.barycentric[~free]
         position, hit_normal = interpolate(mesh, face, barycentric)
-        rows.append(start + local[~free])
-        columns.append((position, hit_normal))
-        values.append(weight * cosine[local[~free], direction[~free]])
-    position = np.concatenate([pair[0] for pair in columns])
-    hit_normal = np.concatenate([pair[1] for pair in columns])
+        values = weight * cosine[local[~free], direction[~free]]
+        return start + local[~free], position, hit_normal, values
+
+    found = side_by_side(traced, blocks(num_surfels, max(1, CHUNK // num_directions)))
+    rows, position, hit_normal, values = map(np.concatenate, zip(*found, strict=True))
     hit = surfels.shared_nearest(position, hit_normal) if len(position) else np.zeros(0, np.int64)
     bounce = csr_matrix(
-        (np.concatenate(values).astype(np.float32), (np.concatenate(rows), hit)),
+        (values.astype(np.float32), (rows, hit)),
         shape=(num_surfels, num_surfels),
     )
     return Visibility(

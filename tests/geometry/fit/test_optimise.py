@@ -59,7 +59,9 @@ def test_steps_grow_shorter_with_the_surface_and_see_the_same_coverage(
     torch.testing.assert_close(between, torch.full_like(between, 0.2 / steps), rtol=1e-3, atol=1e-5)
     field = Field(lattice, height, 8, fit._SOFT_PASSES)
     rays = (origins, directions)
-    _, coverage = field.render(intervals, ColourNetwork(8), rays, inv_std)
+    _, coverage = field.render(
+        intervals, field.looked_up(intervals), ColourNetwork(8), rays, inv_std
+    )
     # the band ends where the surface still covers a per cent
     assert (coverage > 0.97).all()
 

@@ -26,6 +26,7 @@ from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.maths.tone_curve import AbstractToneCurve
 from robir.transport.baked import Transport
 from robir.transport.visibility import lobe_directions, lobe_transfer
+from robir.workers import blocks, num_workers, side_by_side
 
 Floats = NDArray[np.float32]
 
@@ -40,6 +41,7 @@ _LOOK_ALIKES = 64  # seen samples that tell a hidden one's albedo, the nearest
 _LOOK_ALIKE_RANK = 0.9  # rank among them that does: the brighter ones are those in the light
 _LEAST_HIDDEN_ALBEDO = 0.05  # least albedo of what no camera sees
 _MOST_HIDDEN_ALBEDO = 0.8  # greatest albedo of that
+_RAYS_TOGETHER = 1 << 14  # points whose rays are traced at a time
 _NUM_BOUNCES = 3  # reflections between surfaces that no camera sees
 SUN_RAY_PAIRS = 4  # pairs of opposite rays that sample a sun at a point
 
@@ -94,17 +96,19 @@ class Scene:
             samples: Rays a lobe.
         """
         position, normal = points
-        columns = [
-            lobe_transfer(
-                self.tracer,
-                position,
-                normal,
-                lobe_directions(axis, float(width), samples),
-                self.offset,
-            )
+        lobes = [
+            lobe_directions(axis, float(width), samples)
             for axis, width in zip(axes, sharpness, strict=True)
         ]
-        return np.stack(columns, axis=1) if columns else np.zeros((len(position), 0), np.float32)
+
+        def traced(part: slice) -> Floats:
+            points = position[part], normal[part]
+            columns = [lobe_transfer(self.tracer, *points, lobe, self.offset) for lobe in lobes]
+            return np.stack(columns, axis=1)
+
+        if not lobes or not len(position):
+            return np.zeros((len(position), len(lobes)), np.float32)
+        return np.concatenate(side_by_side(traced, blocks(len(position), _RAYS_TOGETHER)))
 
 
 def make_scene(
@@ -259,7 +263,8 @@ def _hidden_albedo(scene: Scene, total: Radiance, median: Tensor) -> Tensor:
     """
     position, seen = scene.transport.surfels.position, total.seen.numpy()
     count = min(_LOOK_ALIKES, int(seen.sum()))
-    around = cKDTree(position[seen]).query(position[~seen], k=count)[1].reshape(-1, count)
+    tree = cKDTree(position[seen])
+    around = tree.query(position[~seen], k=count, workers=num_workers())[1].reshape(-1, count)
     shown = total.linear.numpy()[seen][around]
     bright = np.quantile(shown, _LOOK_ALIKE_RANK, axis=1)
     relative = torch.from_numpy(bright).float() / median.clamp(min=1e-6)

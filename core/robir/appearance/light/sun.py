@@ -25,6 +25,7 @@ from robir.appearance.photometry.statistics import Pairs, Radiance
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.maths.vectors import fibonacci_sphere, ring, tangents
 from robir.transport.visibility import lobe_directions, lobe_transfer
+from robir.workers import side_by_side
 
 Floats = NDArray[np.float32]
 
@@ -146,7 +147,7 @@ def candidate_loss(problem: SunProblem, transfer: Tensor) -> tuple[Tensor, Tenso
         floor = 0.02 * irradiance.mean(0).view(-1, 3).mean(1).repeat_interleave(3)
         return weights.losses(log_radiance - 0.5 * (irradiance.square_().add_(floor**2)).log_())
 
-    return torch.stack([losses(row) for row in transfer]), losses(torch.zeros_like(grey))[:1]
+    return torch.stack(side_by_side(losses, transfer)), losses(torch.zeros_like(grey))[:1]
 
 
 def scan(problem: SunProblem, count: int, keep: int) -> list[SunCandidate]:
@@ -257,18 +258,12 @@ def refine(problem: SunProblem, start: SunCandidate, reach: float) -> SunCandida
 
 def _judged(problem: SunProblem, axes: list[Floats], sharpness: float) -> list[SunCandidate]:
     """Directions as lobes of some sharpness, each at its best strength."""
-    transfer = np.stack(
-        [
-            lobe_transfer(
-                problem.tracer,
-                problem.position,
-                problem.normal,
-                lobe_directions(axis, sharpness, 4),
-                problem.offset,
-            )
-            for axis in axes
-        ]
-    )
+
+    def traced(axis: Floats) -> Floats:
+        points, lobe = (problem.position, problem.normal), lobe_directions(axis, sharpness, 4)
+        return lobe_transfer(problem.tracer, *points, lobe, problem.offset)
+
+    transfer = np.stack(side_by_side(traced, axes))
     losses, without = candidate_loss(problem, torch.from_numpy(transfer))
     lit = (transfer > _LIT).mean(1)
     return [

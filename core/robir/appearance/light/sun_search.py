@@ -18,6 +18,7 @@ from robir.appearance.light.solver import Light, fit, no_suns
 from robir.appearance.light.sun import SEPARATION, SunCandidate, SunProblem, refine, scan
 from robir.appearance.light.sunlight import Sunlight
 from robir.appearance.photometry.statistics import Pairs, neighbour_pairs
+from robir.workers import side_by_side
 
 Floats = NDArray[np.float32]
 
@@ -112,7 +113,7 @@ def _searched(
         candidates = _promising(scanned, is_first=index == 0)
     spacing = float(np.sqrt(4 * np.pi / config.num_scan_directions))
     reach = _SEARCH_REACH * spacing
-    return [refine(fine, candidate, reach) for candidate in candidates]
+    return side_by_side(lambda candidate: refine(fine, candidate, reach), candidates)
 
 
 def _promising(candidates: list[SunCandidate], *, is_first: bool) -> list[SunCandidate]:
@@ -148,21 +149,23 @@ def _best_addition(
     problem: Problem, light: Light, candidates: list[SunCandidate], iterations: int
 ) -> Light | None:
     """The candidate whose full solve has the lowest loss, those that cast a shadow first."""
-    best: Light | None = None
-    best_rank = (False, np.inf)
-    for candidate in candidates:
+
+    def may_be(candidate: SunCandidate) -> bool:
         # The search may have led it below the ground.
         if candidate.lit < candidate.least_lit:
-            continue
-        if len(light.axes) and float((light.axes @ candidate.axis).max()) > np.cos(SEPARATION):
-            continue
+            return False
+        return not len(light.axes) or float((light.axes @ candidate.axis).max()) <= np.cos(
+            SEPARATION
+        )
+
+    def solved(candidate: SunCandidate) -> tuple[tuple[bool, float], Light]:
         axes = np.concatenate([light.axes, candidate.axis[None]])
         sharpness = np.append(light.sharpness, np.float32(_SHARPNESS))
-        solved = fit(problem, axes, sharpness, iterations)
-        rank = (not _casts_shadow(problem, light, solved), solved.loss)
-        if best is None or rank < best_rank:
-            best, best_rank = solved, rank
-    return best
+        tried = fit(problem, axes, sharpness, iterations)
+        return (not _casts_shadow(problem, light, tried), tried.loss), tried
+
+    tried = side_by_side(solved, filter(may_be, candidates))
+    return min(tried, key=lambda one: one[0])[1] if tried else None
 
 
 def polish(problem: Problem, light: Light, config: AppearanceConfig, seed: int) -> Light:

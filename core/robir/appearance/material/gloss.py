@@ -44,6 +44,7 @@ from robir.appearance.material.segments import clusters, means
 from robir.appearance.material.trial import Trial
 from robir.appearance.photometry.statistics import texture_weights
 from robir.jobs.choice import Choice
+from robir.workers import side_by_side
 
 Floats = NDArray[np.float32]
 Reals = NDArray[np.floating[Any]]
@@ -58,6 +59,7 @@ _SPREAD_SCALE = 1.5  # difference of log albedo that one of the deviation of vie
 # roughness of the sky's reflection beside sharper highlights: what a sharper one would show of the
 # sky and of the surroundings, their errors and the mesh's displace
 SHARPEST_SKY = 0.5
+_LEVELS_TOGETHER = 4  # roughnesses tried at a time at most: each holds all observations
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -143,8 +145,6 @@ def _costs(looked: tuple[Reflections, ViewRays, Seen, Tensor]) -> tuple[Highligh
     near = reflections.near_highlight(rays)
     near_rays, near_seen = rays.of(near), seen.of(near)
     others = torch.ones(len(sample), dtype=torch.bool).index_fill_(0, near, value=False)
-    peaks, predicted = (torch.zeros(len(near), len(LEVELS)) for _ in range(2))
-    noise = torch.zeros(int(others.sum()), len(LEVELS))
 
     def summed(values: Tensor, rays: ViewRays) -> Tensor:
         return torch.zeros(len(valid)).index_add_(0, torch.from_numpy(rays.sample), values)
@@ -152,26 +152,30 @@ def _costs(looked: tuple[Reflections, ViewRays, Seen, Tensor]) -> tuple[Highligh
     def below(specular: Tensor, through: Tensor) -> Tensor:
         return diffuse_below(seen, specular, through, (rays, valid))
 
-    highlight = torch.full((len(valid), len(LEVELS)), float("inf"))
-    dielectric = torch.zeros(len(valid), len(LEVELS))
     blurred = reflections.from_sky(rays, SHARPEST_SKY)[:, 0]
-    for index, level in enumerate(LEVELS):
+
+    def at(level: float) -> tuple[Tensor, ...]:
         through = 1 - reflected_share(rays, level)[:, None]
         sky, sun = reflections.from_sky(rays, level), reflections.from_suns(rays, level)
         lit, even = (sky + sun)[:, 0], sky[:, 0]
         base = below(lit, through)
         excess = seen.excess(base + lit)
-        dielectric[:, index] = summed(seen.counted(excess, base + lit), rays)
-        noise[:, index] = excess[others].mean(1)
+        dielectric = summed(seen.counted(excess, base + lit), rays)
+        noise = excess[others].mean(1)
         if level < SHARPEST_SKY:
             base, even = below(blurred + sun[:, 0], through), blurred
         soft = (base + even)[near]
-        peaks[:, index] = near_seen.excess(soft).mean(1)
-        predicted[:, index] = peaks[:, index] - near_seen.excess(soft + sun[near, 0]).mean(1)
+        peaks = near_seen.excess(soft).mean(1)
+        predicted = peaks - near_seen.excess(soft + sun[near, 0]).mean(1)
+        highlight = torch.full((len(valid),), float("inf"))
         for tilt in reflections.tilts:
             shone = reflections.from_suns(near_rays, level, tilt)[:, 0]
             total = summed(near_seen.error(soft + shone), near_rays)
-            highlight[:, index] = torch.minimum(highlight[:, index], total)
+            highlight = torch.minimum(highlight, total)
+        return highlight, dielectric, noise, peaks, predicted
+
+    found = zip(*side_by_side(at, LEVELS, _LEVELS_TOGETHER), strict=True)
+    highlight, dielectric, noise, peaks, predicted = (torch.stack(part, 1) for part in found)
     dull = low_mean(seen.linear, rays, valid)[near_rays.sample]
     plain = summed(near_seen.error(dull), near_rays)
     count = np.bincount(near_rays.sample, minlength=len(valid)).astype(np.float32)

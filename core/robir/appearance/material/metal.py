@@ -26,6 +26,7 @@ from robir.appearance.material.observed import dense, looked_at
 from robir.appearance.material.reflections import Reflections, ViewRays, tilts_of
 from robir.appearance.material.segments import pieces
 from robir.appearance.material.trial import Trial
+from robir.workers import num_workers, side_by_side
 
 Floats = NDArray[np.float32]
 Reals = NDArray[np.float64]
@@ -45,6 +46,7 @@ _LEAST_RATIO = 0.35  # metal's error over paint's below which less tells no more
 _MOST_ODDS = 4.0  # log odds, either way, that one neighbourhood may tell
 # how many of the roughnesses metal is tried at: a rougher one looks like a dielectric of another
 # shade
+_TILTS_TOGETHER = 4  # tilts of the normal tried at a time: each holds all observations
 _NUM_LEVELS = 5
 _JUDGED = 3400  # samples that are judged; the others go by those about them
 _NEIGHBOURS = 8  # of these, those that judge together under one roughness
@@ -126,7 +128,9 @@ def metal_among(
 def near(points: Floats, places: Floats, count: int) -> Rows:
     """Nearest so many (N, C) of some points (U, D) to places (N, D), themselves among them."""
     count = min(count, len(points))
-    return cKDTree(points).query(places, k=count)[1].reshape(len(places), count)
+    return (
+        cKDTree(points).query(places, k=count, workers=num_workers())[1].reshape(len(places), count)
+    )
 
 
 def metal_errors(problem: Problem, light: Light, rows: Rows) -> tuple[Floats, Floats]:
@@ -148,8 +152,9 @@ def metal_errors(problem: Problem, light: Light, rows: Rows) -> tuple[Floats, Fl
     levels = LEVELS[:_NUM_LEVELS]
     reflections, rays, seen, valid = looked_at(problem, light, rows)
     sample, shape = torch.from_numpy(rays.sample), (valid.shape[0], valid.shape[1])
-    best = torch.full((2, len(rows), len(levels)), float("inf"))
-    for tilt in tilts_of():
+
+    def errors(tilt: tuple[float, float]) -> Tensor:
+        found = torch.empty(2, len(rows), len(levels))
         mirrored = reflections.tilted(rays, tilt)
         for index, level in enumerate(levels):
             sky = reflections.from_sky(mirrored, level)
@@ -160,8 +165,10 @@ def metal_errors(problem: Problem, light: Light, rows: Rows) -> tuple[Floats, Fl
             bright = base * (_BRIGHTEST_CHANNEL / base.amax(1, keepdim=True)).clamp(min=1)
             for kind, tried in enumerate((base, bright)):
                 error = seen.error(tried[sample] * white)
-                total = torch.zeros(len(rows)).index_add_(0, sample, error)
-                best[kind, :, index] = torch.minimum(best[kind, :, index], total)
+                found[kind, :, index] = torch.zeros(len(rows)).index_add_(0, sample, error)
+        return found
+
+    best = torch.stack(side_by_side(errors, tilts_of(), _TILTS_TOGETHER)).amin(0)
     free, bright = (best / valid.sum(1).clamp(min=1)[:, None]).numpy()
     return free, bright
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import torch
@@ -23,6 +24,7 @@ from robir.maths import microfacet
 from robir.maths.vectors import normalise, orthonormal_frame
 from robir.transport.observe import Observations
 from robir.transport.surfels import Surfels
+from robir.workers import blocks, side_by_side
 
 Floats = NDArray[np.float32]
 
@@ -110,10 +112,9 @@ def as_rays(
     """
     cosine = (view_dir * normal).sum(1).clip(0.02, 1)
     mirror = 2 * cosine[:, None] * normal - view_dir
-    nearest = [
-        (mirror[start : start + CHUNK] @ directions.T).argmax(1)
-        for start in range(0, len(mirror), CHUNK)
-    ]
+    nearest = side_by_side(
+        lambda part: (mirror[part] @ directions.T).argmax(1), blocks(len(mirror), CHUNK)
+    )
     return ViewRays(
         sample,
         view,
@@ -144,6 +145,17 @@ def tilts_of() -> tuple[tuple[float, float], ...]:
     return ((0.0, 0.0), *((_TILT * np.cos(a), _TILT * np.sin(a)) for a in around))
 
 
+@lru_cache
+def _hear_of_beta() -> None:
+    """Let torch say once, to nobody, that its sparse tensors are in beta.
+
+    Not where they are used: threads share the filters of warnings.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        torch.zeros(1, 1).to_sparse_csr()
+
+
 def _product_at(
     tables: Sequence[Tensor], kernel: Tensor, place: tuple[NDArray[np.int64], Tensor]
 ) -> list[Tensor]:
@@ -162,18 +174,24 @@ def _product_at(
     if len(row) > len(tables[0]) * len(kernel):
         return [(table @ kernel)[torch.from_numpy(row), column] for table in tables]
     starts = np.searchsorted(row, np.arange(len(tables[0]) + 1))
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Sparse CSR tensor support is in beta")
+
+    def entries(rows: slice) -> list[Tensor]:
+        own = slice(int(starts[rows.start]), int(starts[rows.stop]))
         wanted = torch.sparse_csr_tensor(
-            torch.from_numpy(starts),
-            column,
-            torch.zeros(len(row)),
-            size=(len(tables[0]), len(kernel)),
+            torch.from_numpy(starts[rows.start : rows.stop + 1] - own.start),
+            column[own],
+            torch.zeros(own.stop - own.start),
+            size=(rows.stop - rows.start, len(kernel)),
             check_invariants=False,
         )
-    return [
-        torch.sparse.sampled_addmm(wanted, table, kernel, beta=0.0).values() for table in tables
-    ]
+        parts = (table[rows] for table in tables)
+        return [
+            torch.sparse.sampled_addmm(wanted, part, kernel, beta=0.0).values() for part in parts
+        ]
+
+    _hear_of_beta()
+    found = side_by_side(entries, blocks(len(tables[0]), CHUNK) or [slice(0, 0)])
+    return [torch.cat(parts) for parts in zip(*found, strict=True)]
 
 
 def _radiance_of_surfaces(
@@ -192,9 +210,10 @@ def _radiance_of_surfaces(
     directions, position = transport.visibility.directions, transport.surfels.position
     met = transport.visibility.bounce[rows].tocoo()
     towards = position[met.col] - position[rows[met.row]]
-    starts = range(0, len(towards), CHUNK)
     # lengths do not change which direction is the nearest
-    nearest = [(towards[start : start + CHUNK] @ directions.T).argmax(1) for start in starts]
+    nearest = side_by_side(
+        lambda part: (towards[part] @ directions.T).argmax(1), blocks(len(towards), CHUNK)
+    )
     column = np.concatenate([np.zeros(0, np.int64), *nearest])
     shape = (len(rows), len(directions))
     place = torch.from_numpy(met.row.astype(np.int64) * len(directions) + column)

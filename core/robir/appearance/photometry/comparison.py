@@ -38,6 +38,7 @@ from robir.steps import Step
 from robir.transport.baked import Transport
 from robir.transport.observe import Observations, observe
 from robir.transport.surfels import Surfels
+from robir.workers import side_by_side
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -98,7 +99,7 @@ class Comparison:
         points = surfels.subset(keep)
 
         def observed(views: Sequence[View]) -> Observations:
-            small = tuple(resize_view(view, _IMAGE_SIDE) for view in views)
+            small = tuple(side_by_side(lambda view: resize_view(view, _IMAGE_SIDE), views))
             offset = transport.visibility.offset
             return observe(tracer, points.position, points.normal, small, offset)
 

@@ -16,6 +16,7 @@ from robir.maths.daylight import SUN, HueSpread
 from robir.maths.tone_curve import AbstractToneCurve
 from robir.transport.observe import Observations
 from robir.transport.surfels import Surfels
+from robir.workers import num_workers
 
 # rank of brightness from which a sample's views are averaged: pixels darkened by an outline lie
 # below
@@ -288,7 +289,7 @@ def neighbour_pairs(
             direction -= 0.7 * (direction * normal).sum(1, keepdims=True) * normal
             direction /= np.linalg.norm(direction, axis=1, keepdims=True)
             length = reach * rng.uniform(0.5, 1.0, (count, 1))
-            distance, other = tree.query(position + length * direction, k=1)
+            distance, other = tree.query(position + length * direction, k=1, workers=num_workers())
             good = (distance < 0.5 * reach + surfels.spacing) & (other != np.arange(count))
             first.append(np.flatnonzero(good))
             second.append(other[good])
@@ -331,7 +332,9 @@ def shadow_pairs(
         for part in range(parts):
             own, partners = dark_rows[part::parts], lit_rows[part::parts]
             count = min(_SHADOW_PARTNERS, len(partners))
-            distance, index = cKDTree(points[partners]).query(points[own], k=count)
+            distance, index = cKDTree(points[partners]).query(
+                points[own], k=count, workers=num_workers()
+            )
             near = distance < _SHADOW_REACH
             first.append(np.repeat(own, count)[near.ravel()])
             second.append(partners[index[near]])

@@ -39,6 +39,7 @@ from robir.geometry.mesh.unwrap import rasterise_atlas
 from robir.maths.tone_curve import AbstractToneCurve
 from robir.transport.observe import MASK_INSIDE, clean_pixels
 from robir.transport.surfels import interpolate
+from robir.workers import blocks, side_by_side
 
 Floats = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -57,6 +58,7 @@ _MOST_DETAIL = 1.5
 # difference of detail between views, natural logarithm, from which they count as disagreeing: a
 # highlight's edge is in one of them only
 _DISAGREEMENT = 0.1
+_TOGETHER = 4  # photographs read at a time: each holds all texels
 _ROUNDS = 3  # how often the mean is found anew without those that disagree
 
 
@@ -122,8 +124,12 @@ def detail_of(position: Floats, normal: Floats, lenses: Sequence[_Lens]) -> Floa
     """
     weight = np.zeros((len(position), _BEST_VIEWS), np.float32)
     detail = np.zeros((len(position), _BEST_VIEWS, 3), np.float32)
-    for lens in lenses:
-        texel, counts, own = lens.read(position, normal)
+    read = (
+        found
+        for some in blocks(len(lenses), _TOGETHER)
+        for found in side_by_side(lambda lens: lens.read(position, normal), lenses[some])
+    )
+    for texel, counts, own in read:
         slot = weight[texel].argmin(1)
         better = counts > weight[texel, slot]
         texel, slot = texel[better], slot[better]

@@ -6,9 +6,13 @@ Batch letters: N points, M nodes among them, K other nodes about a node.
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+
+from robir.workers import blocks, num_workers, side_by_side
 
 Floats = NDArray[np.float32]
 
@@ -86,13 +90,14 @@ def evened(albedo: Floats, unknown: Floats, points: Floats, step: int) -> Floats
     alike = np.array([[ALIKE_BRIGHTNESS], [_ALIKE_HUE]], np.float32)
     width = 1 / (2 * (alike**2 + wider**2))
     known = np.isfinite(distance) * certainty[other]
-    starts = range(0, len(nodes), CHUNK)
+    parts = blocks(len(nodes), CHUNK)
+
+    def drawn(smooth: Floats, rows: slice) -> Floats:
+        own = (smooth[:, rows], certainty[rows], width[:, rows])
+        return _drawn_together(own, smooth[:, other[rows]], known[rows])
+
     for _ in range(_ROUNDS):
-        parts = []
-        for rows in (slice(start, start + CHUNK) for start in starts):
-            own = (smooth[:, rows], certainty[rows], width[:, rows])
-            parts.append(_drawn_together(own, smooth[:, other[rows]], known[rows]))
-        smooth = np.concatenate(parts, axis=1)
+        smooth = np.concatenate(side_by_side(partial(drawn, smooth), parts), axis=1)
     distance, index = _nearest(points, points[nodes], _BLURRED, 3 * _MESH_ERROR)
     weight = np.exp(-(distance**2) / (2 * _MESH_ERROR**2))
     change = np.einsum("nk,nkc->nc", weight, (smooth - before).T[index])
@@ -122,6 +127,8 @@ def _nearest(
     points: Floats, among: Floats, count: int, reach: float
 ) -> tuple[Floats, NDArray[np.int64]]:
     """Distances and indices (N, count) of the nearest within reach; infinite, 0 beyond."""
-    distance, index = cKDTree(among).query(points, count, eps=0.3, distance_upper_bound=reach)
+    distance, index = cKDTree(among).query(
+        points, count, eps=0.3, distance_upper_bound=reach, workers=num_workers()
+    )
     missing = ~np.isfinite(distance)
     return distance.astype(np.float32), np.where(missing, 0, index)

@@ -22,6 +22,7 @@ from robir.appearance.texture.residual_shading import with_normals
 from robir.appearance.texture.texels import NORMAL_SCALE, Texels, sun_transfer
 from robir.maths.vectors import orthonormal_frame
 from robir.transport.visibility import lobe_transfer
+from robir.workers import blocks, num_workers, side_by_side
 
 Floats = NDArray[np.float32]
 Reals = NDArray[np.floating[Any]]
@@ -108,14 +109,16 @@ class Reference:
             return np.zeros((0, 3), np.float32)
         query = with_normals(texels.position[rows], texels.normal[rows], NORMAL_SCALE)
         # hardly any of them lies next to one that is seen: twice the least distance will do
-        index = cKDTree(self._points).query(query, k=4, eps=1.0)[1]
+        index = cKDTree(self._points).query(query, k=4, eps=1.0, workers=num_workers())[1]
         return self._albedo[index].mean(1)
 
     def palette(self, texels: Texels, rows: NDArray[np.int64], count: int) -> Floats:
         """Albedos (M, count, 3) around some texels; fewer where there are not as many."""
         query = with_normals(texels.position[rows], texels.normal[rows], NORMAL_SCALE)
         count = min(count, self._thinned.n)
-        index = self._thinned.query(query, k=np.arange(1, count + 1), eps=0.2)[1]
+        index = self._thinned.query(
+            query, k=np.arange(1, count + 1), eps=0.2, workers=num_workers()
+        )[1]
         return self._albedo[::_REFERENCE_STEP][index]
 
 
@@ -147,12 +150,13 @@ def settle_edges(
     traced = narrow[edge, strongest] / np.maximum(facing[edge, strongest], 1e-3)
     rows = np.flatnonzero(edge)
     settled = albedo.copy()
-    for start in range(0, len(rows), EDGE_CHUNK):
-        part = slice(start, start + EDGE_CHUNK)
+
+    def likeliest(part: slice) -> Floats:
         among = reference.palette(texels, rows[part], _PALETTE)
-        settled[rows[part]] = _likeliest(
-            exitant[rows[part]], (rest[part], full[part], traced[part]), among
-        )
+        return _likeliest(exitant[rows[part]], (rest[part], full[part], traced[part]), among)
+
+    parts = side_by_side(likeliest, blocks(len(rows), EDGE_CHUNK))
+    settled[rows] = np.concatenate(parts)
     return settled
 
 

@@ -14,6 +14,7 @@ from robir.appearance.light.problem import SUN_RAY_PAIRS, Problem
 from robir.appearance.light.solver import Light
 from robir.appearance.material.gloss import Gloss, specular_towards
 from robir.appearance.texture.residual_shading import with_normals
+from robir.workers import num_workers
 
 Floats = NDArray[np.float32]
 
@@ -83,7 +84,7 @@ class Blend:
         seen = np.flatnonzero(problem.radiance.seen.numpy())
         points = with_normals(surfels.position, surfels.normal, NORMAL_SCALE)[seen]
         query = with_normals(texels.position, texels.normal, NORMAL_SCALE)
-        distance, index = cKDTree(points).query(query, k=4, eps=0.1)
+        distance, index = cKDTree(points).query(query, k=4, eps=0.1, workers=num_workers())
         weight = 1 / (distance + _LEAST_DISTANCE * surfels.spacing) ** 2
         self._index = seen[index]
         self.nearest = self._index[:, 0]

@@ -24,6 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from robir.workers import num_workers
+
 Floats = NDArray[np.float32]
 
 LARGEST = 1.0
@@ -69,5 +71,7 @@ def distance_to_seen(position: Floats, seen: NDArray[np.bool_]) -> Floats:
     if seen.any() and not seen.all():
         tree = cKDTree(position[seen])
         reach = LARGEST / _DISTANCE
-        distance[~seen] = tree.query(position[~seen], eps=0.1, distance_upper_bound=reach)[0]
+        distance[~seen] = tree.query(
+            position[~seen], eps=0.1, distance_upper_bound=reach, workers=num_workers()
+        )[0]
     return distance

@@ -24,6 +24,7 @@ from robir.appearance.light.problem import Problem, Scene, blocks_of, make_probl
 from robir.appearance.light.shade import ALIKE_BRIGHTNESS, ALIKE_HUE
 from robir.appearance.light.solver import Light, fit
 from robir.maths.tone_curve import AbstractToneCurve
+from robir.workers import side_by_side
 
 PLAIN = "standard"
 """Name of the plain curve, the sRGB transfer function."""
@@ -99,9 +100,9 @@ def error_tables(models: list[tuple[Problem, Light]]) -> list[Table]:
     Args:
         models: One scene under every curve, and the light under each.
     """
-    judged = [pair_errors(*model) for model in models]
+    judged = side_by_side(lambda model: pair_errors(*model), models)
     contrast = torch.stack([weight for _, weight in judged]).mean(0)
-    likeness = torch.stack([pair_likeness(*model) for model in models]).mean(0)
+    likeness = torch.stack(side_by_side(lambda model: pair_likeness(*model), models)).mean(0)
     weight = (contrast * likeness).double().numpy()
     blocks: NDArray[np.int64] = blocks_of(models[0][0].scene)
     return [table_of(blocks, error.double().numpy(), weight) for error, _ in judged]
@@ -111,11 +112,13 @@ def ranked(
     scene: Scene, curves: list[AbstractToneCurve], found: Light, config: AppearanceConfig
 ) -> list[Candidate]:
     """The curves with their scores under the suns found, the chosen one first."""
-    models: list[tuple[Problem, Light]] = []
-    for curve in curves:
+
+    def solved(curve: AbstractToneCurve) -> tuple[Problem, Light]:
         problem = make_problem(scene, curve)
         light = fit(problem, found.axes, found.sharpness, config.iterations // 2)
-        models.append((problem, replace(light, history=found.history)))
+        return problem, replace(light, history=found.history)
+
+    models = side_by_side(solved, curves)
     names, tables = [curve.name for curve in curves], error_tables(models)
     if CAMERA in names and _camera_holds(models, tables, names, config):
         chosen = names.index(CAMERA)
@@ -178,12 +181,15 @@ def _camera_holds(
         return True
     if not np.isfinite(_CAMERA_LAG[config.origin]):
         return False
-    settled = list(models)
-    for number in (names.index(CAMERA), _best(tables, names)):
+
+    def solved_further(number: int) -> tuple[Problem, Light]:
         problem, light = models[number]
         start = light.amplitudes
-        further = fit(problem, light.axes, light.sharpness, config.iterations, start=start)
-        settled[number] = (problem, further)
+        return problem, fit(problem, light.axes, light.sharpness, config.iterations, start=start)
+
+    two = (names.index(CAMERA), _best(tables, names))
+    settled = list(models)
+    settled[two[0]], settled[two[1]] = side_by_side(solved_further, two)
     return not camera_lags(error_tables(settled), names, config.origin)
 
 

@@ -23,6 +23,7 @@ from robir.capture.checks.coverage import directions_to
 from robir.capture.frames import Array
 from robir.capture.images.loading import resize_view
 from robir.capture.refusal import warning
+from robir.workers import side_by_side
 
 # ratio to the neighbours' sharpness below which a photograph counts as blurred: sharp ones reach
 # 0.78 and more, those blurred by a Gaussian of 2.5 pixels at most 0.73
@@ -56,7 +57,7 @@ def relative_sharpness(views: Sequence[View], bounds: Bounds) -> Array:
 
     Infinite where nothing can be said.
     """
-    values = np.array([sharpness(view) for view in views]).reshape(-1, len(_DIRECTIONS) + 1)
+    values = np.array(side_by_side(sharpness, views)).reshape(-1, len(_DIRECTIONS) + 1)
     ratios = np.full(len(views), np.inf)
     measured = np.flatnonzero(np.isfinite(values).all(axis=1))
     if len(measured) <= _NEIGHBOURS // 2:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ from robir.capture.camera import Camera
 from robir.capture.capture import View
 from robir.capture.images.opencv import cv2
 from robir.capture.masks.region import Region
+from robir.workers import blocks, side_by_side
 
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
@@ -39,6 +41,7 @@ _LEAST_CONTRAST = 0.65  # below this object and background look too alike
 _LEAST_AGREEMENT = 0.75  # below this the masks show no common object
 _LEAST, _MOST = 0.002, 0.9  # share of the photographs that an object covers, in the median
 _ODD = 0.6  # agreement below which a single mask is named
+_TOGETHER = 16  # photographs between two reports of progress
 _SLACK = 6.0  # pixels by which the outline of a surface may be off
 _BAND = 3  # small pixels on both sides of an outline that are looked at anew in the photograph
 _FINE_SIDE = 640  # longer side of what is looked at then, pixels
@@ -96,13 +99,10 @@ def guess_masks(views: Sequence[View], region: Region, progress: Callable[[float
     alike = _like_points(pictures, region.points, priors)
     points, masks = region.points, priors
     for number, dissent in enumerate(DISSENT):
-        masks = []
-        for picture, prior, room, own in zip(pictures, priors, rooms, alike, strict=True):
-            labels = np.where(prior, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
-            labels[~room] = cv2.GC_BGD
-            is_sure = _near_points(picture.camera, points) | (own & prior)
-            labels[is_sure & room] = cv2.GC_FGD
-            masks.append(_grabbed(picture.lab, labels))
+        masks, cut = [], partial(_cut, points=points)
+        items = list(zip(pictures, priors, rooms, alike, strict=True))
+        for part in blocks(len(items), _TOGETHER):
+            masks += side_by_side(cut, items[part])
             progress((number + len(masks) / len(pictures)) / len(DISSENT))
         outlines = [
             silhouette(p.camera, m) for p, m in zip(pictures, masks, strict=True) if m.any()
@@ -123,6 +123,16 @@ def guess_masks(views: Sequence[View], region: Region, progress: Callable[[float
     )
 
 
+def _cut(item: tuple[Picture, Mask, Mask, Mask], points: Array) -> Mask:
+    """Object pixels of a photograph by where it may be, must not be, and looks like its points."""
+    picture, prior, room, own = item
+    labels = np.where(prior, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
+    labels[~room] = cv2.GC_BGD
+    is_sure = _near_points(picture.camera, points) | (own & prior)
+    labels[is_sure & room] = cv2.GC_FGD
+    return _grabbed(picture.lab, labels)
+
+
 def reduced(views: Sequence[View], side: int) -> list[Picture]:
     """Photographs at most `side` pixels long, in the same order."""
     pictures = []
@@ -141,12 +151,14 @@ def recut(pictures: Sequence[Picture], outlines: Sequence[Layer]) -> list[Layer]
     Colours alone cannot tell a shadow from what casts it; a surface can, to within a few pixels.
     `outlines` (H, W) are signed distances to the surface's outline, pixels, negative on it.
     """
-    masks = []
-    for picture, outline in zip(pictures, outlines, strict=True):
+
+    def cut(pair: tuple[Picture, Layer]) -> Layer:
+        picture, outline = pair
         labels = np.where(outline < 0, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
         labels[outline < -_SLACK], labels[outline > _SLACK] = cv2.GC_FGD, cv2.GC_BGD
-        masks.append(_grabbed(picture.lab, labels).astype(np.float32))
-    return masks
+        return _grabbed(picture.lab, labels).astype(np.float32)
+
+    return side_by_side(cut, zip(pictures, outlines, strict=True))
 
 
 def sharpened(image_display: Bytes, belief: Layer) -> Bytes:

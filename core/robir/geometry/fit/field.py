@@ -6,11 +6,13 @@ Batch letters: N nodes, A nodes with features, R rays, Q end points of intervals
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor, nn
 
 from robir.geometry.fit.sampling import Intervals
-from robir.geometry.lattice import Lattice, Sampled, interpolate, resample, smoothed, taken
+from robir.geometry.lattice import Lattice, Sampled, interpolate, resample, smoothed, spread, taken
 from robir.geometry.rays import RaySampler
 from robir.maths.volume import log_survival_between, weights
 
@@ -134,9 +136,30 @@ class Field:
         value = self.lattice.trilinear(self._soft, stacked).view(6, -1)
         return ((value[:3] - value[3:]) / (2.0 * cell)).T
 
+    @torch.no_grad()
+    def looked_up(self, intervals: Intervals) -> tuple[Tensor, Tensor]:
+        """Distances (Q,) and features (Q, C) at end points, leaves that require gradients."""
+        index, weight = intervals.index, intervals.weight
+        value = interpolate(self.sdf[:, None], index, weight)[:, 0]
+        local = interpolate(self.features, taken(self.row, index), weight)
+        return value.requires_grad_(), local.requires_grad_()
+
+    def take_slopes(
+        self, intervals: Sequence[Intervals], slopes: Sequence[Sequence[Tensor]]
+    ) -> None:
+        """Give the field the gradients of what was looked up, of several blocks of rays."""
+        index, weight = (
+            torch.cat(parts)
+            for parts in zip(*((i.index, i.weight) for i in intervals), strict=True)
+        )
+        value, local = (torch.cat(parts) for parts in zip(*slopes, strict=True))
+        self.sdf.grad = spread(len(self.sdf), index, weight, value[:, None])[:, 0]
+        self.features.grad = spread(len(self.features), taken(self.row, index), weight, local)
+
     def render(
         self,
         intervals: Intervals,
+        looked_up: tuple[Tensor, Tensor],
         network: ColourNetwork,
         rays: tuple[Tensor, Tensor],
         inv_std: float,
@@ -145,13 +168,13 @@ class Field:
 
         Args:
             intervals: Packed intervals of the rays.
+            looked_up: What the field has at their end points, see the method of that name.
             network: Colour network.
             rays: Origins (R, 3) and unit directions (R, 3).
             inv_std: NeuS steepness, 1 / unit frame.
         """
-        origins, directions = rays
+        (origins, directions), (value, local) = rays, looked_up
         ray = intervals.ray
-        value = interpolate(self.sdf[:, None], intervals.index, intervals.weight)[:, 0]
         log_step = log_survival_between(value, inv_std) * intervals.joined
         weight = weights(log_step, intervals.first[:-1])
         coverage = torch.zeros(len(origins), device=weight.device).index_add(0, ray[:-1], weight)
@@ -162,8 +185,7 @@ class Field:
             depth = reached / coverage.clamp(min=1e-4)
             points = origins + depth[:, None] * directions
             normals = nn.functional.normalize(self.gradient(points), dim=1, eps=1e-4)
-        row = taken(self.row, intervals.index)
-        local = interpolate(self.features, row, intervals.weight) * share[:, None]
+        local = local * share[:, None]
         mixed = local.new_zeros(len(origins), local.shape[1]).index_add(0, ray, local)
         mixed = mixed / coverage.clamp(min=1e-4)[:, None]
         rgb = network(mixed, normals, directions)

@@ -14,10 +14,11 @@ from robir.errors import QualityError
 from robir.geometry.config import GeometryConfig
 from robir.geometry.fit.field import ColourNetwork, Field
 from robir.geometry.fit.preview import Present
-from robir.geometry.fit.sampling import Occupancy, march
+from robir.geometry.fit.sampling import Intervals, Occupancy, march
 from robir.geometry.lattice import Lattice, Sampled, neighbour_mean, smoothed
 from robir.geometry.rays import RaySampler
 from robir.maths.adam import Adam
+from robir.workers import blocks, side_by_side
 
 _FEATURES = 8  # colour features of a node of the field
 _SOFT_PASSES = 6  # passes of the (1, 2, 1) / 4 filter that frees the surface of small lumps
@@ -27,6 +28,7 @@ _SHARPEST_AT = 0.85  # share of the fit from which it is the last one
 _BAND = 5.0  # distance from the surface that rays are sampled in, in widths of the soft surface
 _MASK_WEIGHT = 0.2  # weight of the coverage's cross-entropy against the colour
 _FULL_COVERAGE = 0.98  # from which coverage counts as full: what dropped intervals leave of it
+_RAYS_TOGETHER = 1024  # rays that a thread works on at a time
 _REFRESH = 25  # between updates of the occupancy and of the nodes that carry features (steps)
 _SMOOTH_EVERY = 10  # between the proximal steps on the field
 # share of the way towards its neighbours' mean that such a step moves a node at the start; it
@@ -83,9 +85,8 @@ class _Optimiser:
         self._nodes = wanted.nonzero()[:, 0]
         self._adam.replace(0, field.features, old_rows)
 
-    def step(self, loss: Tensor, factor: float) -> None:
-        """One step with every learning rate times `factor`."""
-        loss.backward()
+    def step(self, factor: float) -> None:
+        """One step against the gradients, with every learning rate times `factor`."""
         self._move_distances(factor * self._reach)
         self._adam.step([factor * rate for rate in self._rates])
 
@@ -149,6 +150,37 @@ def _loss(predicted: tuple[Tensor, Tensor], target: Tensor) -> Tensor:
     return colour + _MASK_WEIGHT * mask
 
 
+def _descend(
+    field: Field, network: ColourNetwork, soft: tuple[Occupancy, float], rays: tuple[Tensor, ...]
+) -> Tensor:
+    """Loss of rays, whose gradients field and network take.
+
+    Args:
+        field: The field.
+        network: Its colour network.
+        soft: Where the soft surface may be, and its steepness.
+        rays: Origins, directions, targets and jitter, (R, ...) each.
+    """
+    (occupancy, inv_std), count = soft, len(rays[0])
+    parameters = list(network.parameters())
+
+    def block(part: slice) -> tuple[Intervals, Tensor, tuple[Tensor, ...]]:
+        origins, directions, target, jitter = (values[part] for values in rays)
+        intervals = march(occupancy, field.sdf, inv_std, origins, directions, jitter)
+        looked_up = field.looked_up(intervals)
+        predicted = field.render(intervals, looked_up, network, (origins, directions), inv_std)
+        loss = _loss(predicted, target) * (len(target) / count)
+        return intervals, loss.detach(), torch.autograd.grad(loss, [*looked_up, *parameters])
+
+    # a graphics card does them all at once
+    size = _RAYS_TOGETHER if field.sdf.device.type == "cpu" else count
+    intervals, losses, slopes = zip(*side_by_side(block, blocks(count, size)), strict=True)
+    field.take_slopes(intervals, [one[:2] for one in slopes])
+    for values, *parts in zip(parameters, *(one[2:] for one in slopes), strict=True):
+        values.grad = torch.stack(parts).sum(0)
+    return torch.stack(losses).sum()
+
+
 def _steepness(share: float, longest: float) -> float:
     """NeuS steepness at a share of the fit, 1 / unit frame, by the object's longest side."""
     first, last = _FIRST_SHARPNESS, _LAST_SHARPNESS
@@ -174,7 +206,8 @@ def _present(field: Field, network: ColourNetwork, occupancy: Occupancy, inv_std
     def render(origins: Tensor, directions: Tensor) -> tuple[Tensor, Tensor]:
         middle = torch.full_like(origins[:, 0], 0.5)
         intervals = march(occupancy, field.sdf, inv_std, origins, directions, middle)
-        return field.render(intervals, network, (origins, directions), inv_std)
+        looked_up = field.looked_up(intervals)
+        return field.render(intervals, looked_up, network, (origins, directions), inv_std)
 
     return Present(render, Sampled(field.lattice, field.sdf.detach()))
 
@@ -228,12 +261,10 @@ def fit(
                 wanted = level.dilated(occupancy.near, 1)
                 optimiser.follow(field, wanted, field.place_features(wanted))
                 progress(share, _present(field, network, occupancy, inv_std))
-            origins, directions, target = sampler.draw(config.rays)
-            jitter = torch.rand(len(origins), generator=generator).to(device)
-            intervals = march(occupancy, field.sdf, inv_std, origins, directions, jitter)
-            predicted = field.render(intervals, network, (origins, directions), inv_std)
-            loss = _loss(predicted, target)
-            optimiser.step(loss, _rate_factor(share))
+            drawn = sampler.draw(config.rays)
+            jitter = torch.rand(len(drawn[0]), generator=generator).to(device)
+            loss = _descend(field, network, (occupancy, inv_std), (*drawn, jitter))
+            optimiser.step(_rate_factor(share))
             done += 1
             if done % _SMOOTH_EVERY == 0:
                 if not math.isfinite(loss.item()):

@@ -24,6 +24,7 @@ from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.rays import Photo
 from robir.geometry.stereo.sweep import Picture
 from robir.maths.vectors import orthonormal_frame
+from robir.workers import blocks, side_by_side
 
 Floats = NDArray[np.float32]
 
@@ -155,17 +156,18 @@ def correlations(mesh: Mesh, pictures: list[Picture], cosine: Floats, shifts: Fl
     order = np.argsort(-cosine, axis=1, kind="stable")[:, :count]
     judged = np.take_along_axis(cosine, order, axis=1) > 0
     tried, points = torch.from_numpy(shifts), (2 * _WINDOW + 1) ** 2
-    result = np.zeros((len(cosine), len(shifts)), np.float32)
-    for begin in range(0, len(cosine), CHUNK):
-        chosen, valid = order[begin : begin + CHUNK], judged[begin : begin + CHUNK]
+
+    def told_of(part: slice) -> Floats:
+        chosen, valid = order[part], judged[part]
         held = torch.zeros(len(chosen), count, len(shifts), points)
         for view in np.unique(chosen[valid]):
             row, slot = np.nonzero((chosen == view) & valid)
-            rows = torch.from_numpy(row + begin)
+            rows = torch.from_numpy(row + part.start)
             held[row, slot] = patches.read(pictures[view], rows, tried, _NOISE)
         told = torch.from_numpy(valid.astype(np.float32))
-        result[begin : begin + CHUNK] = agreement(held, told, _AGREEING).numpy()
-    return result
+        return agreement(held, told, _AGREEING).numpy()
+
+    return np.concatenate(side_by_side(told_of, blocks(len(cosine), CHUNK)))
 
 
 def pixel_size(cameras: list[Camera]) -> float:

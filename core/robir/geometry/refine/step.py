@@ -10,6 +10,7 @@ time (quadratic relaxation; Newcombe et al. 2011, "DTAM", eq. 11 to 14).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import scipy.sparse
@@ -24,6 +25,7 @@ from robir.geometry.rays import reduce_view
 from robir.geometry.refine.correlation import correlations, outline_shifts, pixel_size, seen_by
 from robir.geometry.stereo.semiglobal import refined_minimum
 from robir.geometry.stereo.sweep import Picture
+from robir.workers import side_by_side
 
 Array = NDArray[np.float64]
 
@@ -62,7 +64,7 @@ class Evidence:
 
 def refine(mesh: Mesh, views: tuple[View, ...], sides: tuple[int, ...]) -> Mesh:
     """Move a mesh to where photographs agree, finer from size to size of these."""
-    reduced = {s: [reduce_view(view, s) for view in views] for s in set(sides)}
+    reduced = {s: side_by_side(partial(reduce_view, side=s), views) for s in set(sides)}
     for side in sides:
         photos = reduced[side]
         pictures = [Picture.of(photo) for photo in photos]

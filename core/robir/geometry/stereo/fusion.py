@@ -24,6 +24,7 @@ from robir.geometry.rays import Photo
 from robir.geometry.stereo.smoothest import smoothest
 from robir.geometry.stereo.sweep import DepthMap, Picture, sweep
 from robir.maths.vectors import farthest_points
+from robir.workers import side_by_side
 
 _NARROW = 1 / 3  # spread of angles below the wanted one that will do, as a share of it
 _WIDE = 5 / 6  # the same above it
@@ -36,6 +37,7 @@ _BASELINE_DEGREES = 14.0
 # angle at the object up to which another photograph's depths can confirm or deny one (degrees)
 _WITNESS = 40.0
 _VIEWS = 48  # most photographs that get a depth map
+_AT_ONCE = 8  # of these at most: each takes some hundred megabytes meanwhile
 _LEAST_AGREEING = 3  # other depth maps that must agree with a depth
 _LEAST_CORRELATION = 0.4  # correlation that a depth must reach
 # difference of depth that counts as agreement, and the half width of the band in which distances
@@ -144,15 +146,17 @@ def depth_maps(photos: list[Photo], hull: Mesh) -> list[DepthMap]:
     positions = np.stack([photo.camera.position for photo in photos])
     sources = choose_sources(positions)
     tracer = EmbreeTracer(hull.vertices, hull.faces)
-    maps = []
-    for own in farthest_points(positions, _VIEWS):
+
+    def depths(own: int) -> DepthMap | None:
         picture, camera = pictures[own], pictures[own].camera
         entry = entry_depth(tracer, camera)
         if len(sources[own]) < 2 or not (picture.whole & np.isfinite(entry)).any():
-            continue
+            return None
         far = float(((hull.vertices - camera.position) @ camera.forward).max())
-        maps.append(sweep(picture, [pictures[k] for k in sources[own]], entry, far))
-    return maps
+        return sweep(picture, [pictures[k] for k in sources[own]], entry, far)
+
+    maps = side_by_side(depths, farthest_points(positions, _VIEWS), _AT_ONCE)
+    return [one for one in maps if one is not None]
 
 
 def entry_depth(tracer: EmbreeTracer, camera: Camera) -> NDArray[np.float32]:
@@ -168,8 +172,9 @@ def confirmed(maps: list[DepthMap], tolerance: float) -> list[DepthMap]:
     if not maps:
         return []
     angle = angles_between(np.stack([one.camera.position for one in maps]))
-    kept = []
-    for own, one in enumerate(maps):
+
+    def agreed(own: int) -> DepthMap:
+        one = maps[own]
         rows, columns = np.nonzero(one.correlation > _LEAST_CORRELATION)
         points = points_at(one, rows, columns)
         votes = np.zeros(len(points), int)
@@ -179,8 +184,9 @@ def confirmed(maps: list[DepthMap], tolerance: float) -> list[DepthMap]:
         depth = np.full_like(one.depth, np.nan)
         good = votes >= _LEAST_AGREEING
         depth[rows[good], columns[good]] = one.depth[rows[good], columns[good]]
-        kept.append(replace(one, depth=depth))
-    return kept
+        return replace(one, depth=depth)
+
+    return side_by_side(agreed, range(len(maps)))
 
 
 def points_at(
