@@ -194,6 +194,7 @@ class ROBIR_PT_result(Panel, bpy.types.Panel):
         row = layout.row(align=True)
         row.operator("robir.compare", icon="IMAGE_REFERENCE")
         row.operator("robir.open_report", icon="URL")
+        row.operator("robir.match_view_transform", text="", icon="COLOR")
         summary = shown_summary(settings)
         if summary is None:
             return
@@ -203,7 +204,6 @@ class ROBIR_PT_result(Panel, bpy.types.Panel):
         header, body = layout.panel("ROBIR_details", default_closed=True)
         header.label(text="Details")
         if body is not None:
-            body.operator("robir.match_view_transform", icon="COLOR")
             facts = body.column(align=True)
             for fact in summary.facts:
                 paragraph(facts, context, fact, "DOT")

@@ -31,7 +31,7 @@ LEAST = (
 )  # fmt: skip
 """No good result is needed, only one that is the same every time."""
 
-_COSTS = re.compile(r"(.*_)?(seconds|peak_memory_bytes|heartbeat|pid)")
+_COSTS = re.compile(r"(.*_)?(seconds|peak_memory_bytes|heartbeat|pid)|threads")
 _TIMES = re.compile(
     r"<td>(?:capture|geometry|transport|appearance|export|reconstruction|rendering in Blender, "
     r'counted apart)</td><td class="n">[\d.]+</td><td class="n">[\d.]+</td>|<dd>\d+ CPU-s</dd>'
@@ -93,7 +93,7 @@ def ended(process: int) -> int:
 
 
 def without_costs(value: Any) -> Any:
-    """A JSON value without what differs between equal runs: times, memory, process numbers."""
+    """A JSON value without what equal runs differ in: times, memory, threads, process numbers."""
     if isinstance(value, dict):
         return {k: without_costs(v) for k, v in value.items() if not _COSTS.fullmatch(k)}
     return [without_costs(v) for v in value] if isinstance(value, list) else value
