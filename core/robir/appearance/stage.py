@@ -44,7 +44,7 @@ from robir.transport.baked import Transport
 from robir.transport.observe import MASK_INSIDE
 from robir.workers import meanwhile
 
-REVISION = 89
+REVISION = 90
 
 
 STEPS: tuple[Step[Any], ...] = (*COMPARISON, *SURFACE, *SEARCH, *SOLUTION, *ALBEDO, *TEXTURE)

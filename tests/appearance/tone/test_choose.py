@@ -107,6 +107,7 @@ NAMES = ["standard", "camera", "filmic", "agx", "robir_aces"]
         ("auto", (8.85, 9.0, 9.0, 9.0, 9.0), "camera"),  # errors of the light do as much
         ("auto", (8.7, 9.0, 9.0, 9.0, 9.0), "standard"),
         ("auto", (9.5, 9.0, 8.5, 9.0, 9.0), "filmic"),
+        ("auto", (8.45, 9.0, 8.5, 9.0, 9.0), "filmic"),  # most renderers roll off
         ("auto", (9.5, 9.0, 8.58, 8.5, 9.0), "filmic"),  # within a tenth of a code the simpler one
         ("auto", (9.5, 9.0, 8.65, 8.5, 9.0), "agx"),
         ("camera", (5.0, 9.0, 9.0, 9.0, 9.0), "camera"),

@@ -143,14 +143,16 @@ def ranked(
 def simplest_near_best(tables: list[Table], names: list[str]) -> int:
     """Number of the simplest curve within `SIMPLER_MARGIN` of the lowest error.
 
-    A camera's response is none of them, where there are others.
+    A camera's response is none of them, where there are others. The plain curve comes last: what is
+    no camera is a renderer, and most of these roll off.
 
     Args:
         tables: Display errors under each curve, 0..1.
         names: Of the curves, simplest first.
     """
     best = _best(tables, names)
-    near = (n for n, name in enumerate(names) if name != CAMERA and not _lags(tables, n, best))
+    order = sorted(range(len(names)), key=lambda number: names[number] == PLAIN)
+    near = (n for n in order if names[n] != CAMERA and not _lags(tables, n, best))
     return next(near, best)
 
 
