@@ -8,11 +8,13 @@ import re
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
 from hostile.tiny_run import contents, scenes
 
+from robir import cli
 from robir.errors import UsageError
 from robir.jobs.library import LibraryPaths
 from robir.jobs.paths import read_json
@@ -84,3 +86,19 @@ def test_a_task_that_the_plan_lacks_is_refused(shots, library, robir):
     page = paths.page.read_text()
     assert "holds no capture" in page
     assert page.index('data-name="empty"') < page.index('data-name="sphere"')
+
+
+def test_time_is_linear_in_the_number_of_captures(tmp_path):
+    taken = []
+    for count in (1, 100, 1000):  # the first one imports
+        folder = tmp_path / str(count)
+        names = [f"c{number}" for number in range(count)]
+        for name in names:
+            (folder / name).mkdir(parents=True)
+        plan = folder / "plan.toml"
+        plan.write_text("".join(f"[[capture]]\npath = '{name}'\n" for name in names))
+        start = time.process_time()
+        words = ["batch", str(plan), "-o", str(folder / "library"), "--on", "openjd"]
+        assert cli.main(words) == 0
+        taken.append(time.process_time() - start)
+    assert taken[2] < 25 * taken[1]  # ten times as many

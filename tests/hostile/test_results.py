@@ -13,6 +13,7 @@ import pytest
 from evaluation import sphere_run
 from hostile.damage import NASTY, WHOLE, damage_file, places, replaced
 
+from robir import cli
 from robir.capture.arrays import stored_arrays
 from robir.capture.store import load_capture, view_path
 from robir.errors import (
@@ -138,6 +139,20 @@ def test_run_json_without_its_fields_is_damaged(tmp_path):
             paths.run.write_text(replaced(run, place, value))
             with pytest.raises(StorageError, match="damaged"):
                 read_run(paths)
+
+
+@pytest.mark.parametrize(
+    "given", [{"masks": "m" * 5000}, {"mesh": {"name": "m" * 5000, "fingerprint": "0"}}]
+)
+def test_names_of_any_length_in_run_json_open_nothing(tmp_path, capsys, given):
+    facts = {"fingerprint": "0", "name": "c", "place": "0", "masks": None} | given
+    run = {"state": "done", "preset": "draft", "capture": facts, "seconds": {}, "warnings": []}
+    write_json(JobPaths(tmp_path).run, run | {"peak_memory_bytes": {}})
+    words = ["reconstruct", str(tmp_path), "-o", str(tmp_path), "--resume", "--progress", "plain"]
+    assert cli.main(words) == 2
+    said = capsys.readouterr().err
+    (option,) = given
+    assert f"was begun with the {option} 'mmm" in said and len(said) < 1000
 
 
 @pytest.mark.parametrize("outputs", [[], "x", {"a": 1}, {"a\0": {"sha256": "", "bytes": 0}}])

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -44,13 +45,27 @@ def test_streams_that_nobody_reads(tmp_path, redirection, code, said):
     assert "Exception ignored" not in done.stderr
 
 
-def test_a_working_folder_that_is_gone(tmp_path):
+@pytest.mark.parametrize("words", ["reconstruct {0}/cap -o {0}/out", "evaluate {0} --truth {0}"])
+def test_a_working_folder_that_is_gone(tmp_path, words):
     (tmp_path / "gone").mkdir()
     (tmp_path / "cap").mkdir()
-    words = f"cd gone; rmdir ../gone; {ROBIR} reconstruct {tmp_path}/cap -o {tmp_path}/out"
+    words = f"cd gone; rmdir ../gone; {ROBIR} {words.format(tmp_path)}"
     done = shell(words, tmp_path)
     assert (done.returncode, done.stdout) == (2, "")
     assert "the working folder has been deleted" in done.stderr
+
+
+@pytest.mark.skipif(shutil.which("setpriv") is None, reason="it takes root's rights away")
+@pytest.mark.parametrize("barred", ["cap", "cap/train", "cap/train/view_00.png"])
+def test_what_a_user_may_not_read_is_named(tmp_path, barred):
+    write_specimen(tmp_path / "cap")
+    (tmp_path / barred).chmod(0)
+    as_user = "setpriv --bounding-set=-dac_override,-dac_read_search" if os.getuid() == 0 else ""
+    done = shell(f"{as_user} {ROBIR} check cap --progress plain", tmp_path)
+    (tmp_path / barred).chmod(0o755)
+    assert done.returncode == 3
+    assert f"{barred} cannot be read" in done.stdout + done.stderr
+    assert "Errno" not in done.stdout and "internal error" not in done.stderr
 
 
 @pytest.mark.parametrize("word", ["caf\udce9", "a\ud800"])

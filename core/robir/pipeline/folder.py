@@ -134,7 +134,7 @@ def refuse_unnamed(
     """
     before = run["capture"].get(option)
     if before is not None and given is None:
-        name = before if option == "masks" else before["name"]
+        name = (before if option == "masks" else before["name"])[:200]
         raise UsageError(
             f"{paths.root} was begun with the {option} {name!r}; name the same with --{option}, "
             "or give another output folder with -o"

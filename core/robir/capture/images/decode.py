@@ -159,6 +159,9 @@ def header(path: Path) -> Iterator[Image.Image]:
         except FileNotFoundError:
             message = f"{path} does not exist"
             raise refuse("missing-images", message, "Put it there.", path.name) from None
+        except PermissionError as fault:
+            message, cure = f"{path} cannot be read ({fault.strerror})", "Give yourself the right."
+            raise refuse("unreadable-images", message, cure, path.name) from None
         except UnidentifiedImageError:
             message = f"{path} is not a photograph that can be read"
             cure = "Save it as PNG, JPEG or TIFF."
