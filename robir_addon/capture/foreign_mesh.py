@@ -7,11 +7,15 @@ y-up as its standard wants it. The engine turns that back, so it has what Blende
 A damaged file may end Blender or take all memory, so a Blender of its own reads it, within limits.
 """
 
+import ctypes
 import json
 import os
+import signal
 import subprocess
 import sys
 import tempfile
+import threading
+import time
 from contextlib import suppress
 from pathlib import Path
 
@@ -30,6 +34,12 @@ MOST_BYTES = 1 << 33
 
 MOST_SECONDS = 600.0
 """Time on the clock, and of the processor, that reading may take."""
+
+_PARENT = "ROBIR_PARENT"
+"""Set to the number of the process for which a mesh is read."""
+
+_PR_SET_PDEATHSIG = 1
+"""Of <linux/prctl.h>: a signal is sent when the parent ends."""
 
 _KINDS = {kind.exit_code: kind for kind in (RequestError, ResultError)}
 
@@ -63,6 +73,7 @@ def convert_apart(
         entries = [str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH", "")]
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, entries))}
         environment.pop("ROBIR_FOLLOWED", None)
+        environment[_PARENT] = str(os.getpid())
         try:
             done = subprocess.run(
                 [*_blender(), *words],
@@ -114,7 +125,12 @@ def _heard(done: subprocess.CompletedProcess[bytes]) -> tuple[tuple[str, ...] | 
 
 
 def bound(most_bytes: int) -> None:
-    """Have the system end this process where it takes more memory or time; not on Windows."""
+    """Have this process end where it takes more memory or time, or its parent is gone.
+
+    Not on Windows.
+    """
+    if sys.platform != "win32" and _PARENT in os.environ:
+        _end_with(int(os.environ[_PARENT]))
     with suppress(ImportError, ValueError, OSError):
         import resource
 
@@ -122,6 +138,19 @@ def bound(most_bytes: int) -> None:
         resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
         resource.setrlimit(resource.RLIMIT_DATA, (most_bytes, most_bytes))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+
+
+def _end_with(parent: int) -> None:
+    """Have this process killed once its parent is gone."""
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(1.0)
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    if sys.platform == "linux":  # also while Blender lets no thread of Python run
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def convert(file: Path, out: Path) -> tuple[str, ...]:
