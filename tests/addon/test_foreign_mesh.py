@@ -7,7 +7,6 @@ import json
 import shlex
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -350,35 +349,6 @@ for limits in ((1 << 20, 60.0), (1 << 33, 0.05)):
     memory, time = run.stdout.splitlines()
     assert "ended Blender: it is damaged, or takes more than 0.0 GB of memory" in memory
     assert "takes longer than 0.05 s" in time
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="finds processes in /proc")
-def test_who_reads_ends_with_its_parent(tmp_path):
-    body = corners("3", "0", "1", "2").removeprefix("#usda 1.0\n")
-    meshes = "".join(body.replace("Post", f"Post{number}") for number in range(20_000))
-    (tmp_path / "many.usda").write_text(f"#usda 1.0\n{meshes}")  # minutes of reading
-    words = ["mesh", str(tmp_path / "many.usda"), str(tmp_path / "many.glb")]
-    parent = subprocess.Popen([sys.executable, "-m", "robir_addon.headless", *words])
-    children = Path(f"/proc/{parent.pid}/task/{parent.pid}/children")
-    while not (found := children.read_text().split()):
-        time.sleep(0.02)
-    child = Path("/proc", found[0])
-    while int((child / "stat").read_text().rpartition(")")[2].split()[11]) < 150:  # hundredths
-        time.sleep(0.02)
-    parent.kill()
-    parent.wait()
-    patience = time.monotonic() + 30.0
-    while is_running(child) and time.monotonic() < patience:
-        time.sleep(0.02)
-    assert not is_running(child)
-
-
-def is_running(process: Path) -> bool:
-    """Whether a process, by its folder of /proc, is neither gone nor only to be waited for."""
-    try:
-        return (process / "stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except (FileNotFoundError, ProcessLookupError):
-        return False
 
 
 @pytest.mark.parametrize("name", ["bare.fbx", "bare.usda"])
