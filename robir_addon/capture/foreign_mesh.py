@@ -35,9 +35,6 @@ MOST_BYTES = 1 << 33
 MOST_SECONDS = 600.0
 """Time on the clock, and of the processor, that reading may take."""
 
-_PARENT = "ROBIR_PARENT"
-"""Set to the number of the process for which a mesh is read."""
-
 _PR_SET_PDEATHSIG = 1
 """Of <linux/prctl.h>: a signal is sent when the parent ends."""
 
@@ -73,7 +70,6 @@ def convert_apart(
         entries = [str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH", "")]
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, entries))}
         environment.pop("ROBIR_FOLLOWED", None)
-        environment[_PARENT] = str(os.getpid())
         try:
             done = subprocess.run(
                 [*_blender(), *words],
@@ -129,8 +125,8 @@ def bound(most_bytes: int) -> None:
 
     Not on Windows.
     """
-    if sys.platform != "win32" and _PARENT in os.environ:
-        _end_with(int(os.environ[_PARENT]))
+    if sys.platform != "win32":
+        _end_with_parent()
     with suppress(ImportError, ValueError, OSError):
         import resource
 
@@ -140,8 +136,9 @@ def bound(most_bytes: int) -> None:
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
 
-def _end_with(parent: int) -> None:
+def _end_with_parent() -> None:
     """Have this process killed once its parent is gone."""
+    parent = os.getppid()
 
     def watch() -> None:
         while os.getppid() == parent:

@@ -13,6 +13,8 @@ import struct
 import subprocess
 import sys
 import time
+from contextlib import suppress
+from pathlib import Path
 
 import pytest
 
@@ -212,3 +214,40 @@ def test_a_command_ends_with_the_process_that_waits_for_it(copy):
         finally:
             process.kill()
     assert not list(copy.renders.glob("rerender_*"))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="finds processes in /proc")
+def test_who_reads_ends_with_its_parent(tmp_path):
+    body = "point3f[] points = [(1, 0, 0), (0, 2, 0), (0, 0, 3)]\nint[] faceVertexCounts = [3]\n"
+    body += "int[] faceVertexIndices = [0, 1, 2]\n"
+    meshes = "".join(f'def Mesh "Post{number}"\n{{\n{body}}}\n' for number in range(20_000))
+    (tmp_path / "many.usda").write_text(f"#usda 1.0\n{meshes}")  # minutes of reading
+    words = ["mesh", str(tmp_path / "many.usda"), str(tmp_path / "many.glb")]
+    parent = subprocess.Popen([sys.executable, "-m", "robir_addon.headless", *words])
+    while (child := reader_of(parent.pid)) is None:
+        time.sleep(0.02)
+    parent.kill()
+    parent.wait()
+    patience = time.monotonic() + 30.0
+    while is_running(child) and time.monotonic() < patience:
+        time.sleep(0.02)
+    assert not is_running(child)
+
+
+def reader_of(parent: int) -> Path | None:
+    """Folder of /proc of the process that a command started to read a mesh, once it reads."""
+    for number in Path(f"/proc/{parent}/task/{parent}/children").read_text().split():
+        with suppress(FileNotFoundError, ProcessLookupError):
+            child = Path("/proc", number)
+            spent = int((child / "stat").read_text().rpartition(")")[2].split()[11])  # hundredths
+            if b"--within" in (child / "cmdline").read_bytes() and spent > 150:
+                return child
+    return None
+
+
+def is_running(process: Path) -> bool:
+    """Whether a process, by its folder of /proc, is neither gone nor only to be waited for."""
+    try:
+        return (process / "stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except (FileNotFoundError, ProcessLookupError):
+        return False
