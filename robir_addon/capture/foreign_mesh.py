@@ -14,8 +14,6 @@ import signal
 import subprocess
 import sys
 import tempfile
-import threading
-import time
 from contextlib import suppress
 from pathlib import Path
 
@@ -121,11 +119,8 @@ def _heard(done: subprocess.CompletedProcess[bytes]) -> tuple[tuple[str, ...] | 
 
 
 def bound(most_bytes: int) -> None:
-    """Have this process end where it takes more memory or time, or its parent is gone.
-
-    Not on Windows.
-    """
-    if sys.platform != "win32":
+    """Have this process end with its parent (Linux), or if it takes too much (not on Windows)."""
+    if sys.platform == "linux":
         _end_with_parent()
     with suppress(ImportError, ValueError, OSError):
         import resource
@@ -137,17 +132,9 @@ def bound(most_bytes: int) -> None:
 
 
 def _end_with_parent() -> None:
-    """Have this process killed once its parent is gone."""
-    parent = os.getppid()
-
-    def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(1.0)
-        os.kill(os.getpid(), signal.SIGKILL)
-
-    if sys.platform == "linux":  # also while Blender lets no thread of Python run
+    """Have the system kill this process once its parent is gone; on Linux alone."""
+    with suppress(OSError, AttributeError):
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-    threading.Thread(target=watch, daemon=True).start()
 
 
 def convert(file: Path, out: Path) -> tuple[str, ...]:
