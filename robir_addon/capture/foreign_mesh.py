@@ -9,7 +9,6 @@ A damaged file may end Blender or take all memory, so a Blender of its own reads
 
 import ctypes
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -21,6 +20,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
+from ..child import blender_command
 from ..errors import RequestError, ResultError
 from ..gateway import replacing
 
@@ -65,12 +65,11 @@ def convert_apart(
     with tempfile.TemporaryDirectory(prefix=".robir-mesh-", dir=out.parent) as folder:
         made = Path(folder, out.name)
         words = ["mesh", str(file), str(made), "--within", str(most_bytes)]
-        entries = [str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH", "")]
-        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, entries))}
+        command, environment = blender_command(words)
         environment.pop("ROBIR_FOLLOWED", None)
         try:
             done = subprocess.run(
-                [*_blender(), *words],
+                command,
                 stdin=subprocess.DEVNULL,
                 capture_output=True,
                 check=False,
@@ -97,15 +96,6 @@ def convert_apart(
         with replacing(out) as temporary:
             made.replace(temporary)
     return notes
-
-
-def _blender() -> list[str]:
-    """The beginning of a command of the Blender that this is: a whole one, or the wheel."""
-    package = str(__package__).rpartition(".")[0]
-    if bpy.app.binary_path:
-        start = [bpy.app.binary_path, "--background", "--disable-autoexec", "--addons", package]
-        return [*start, "--command", "robir_scene"]
-    return [sys.executable, "-P", "-m", f"{package}.headless"]
 
 
 def _heard(done: subprocess.CompletedProcess[bytes]) -> tuple[tuple[str, ...] | None, str]:

@@ -10,6 +10,7 @@ import bpy
 from bpy.props import StringProperty
 from bpy_extras.io_utils import ImportHelper
 
+from ..child import blender_command
 from ..engine import Sentence
 from ..errors import AddonError, RequestError, ResultError
 from ..relighting.lights import (
@@ -23,7 +24,6 @@ from ..result.importer import asset_of, mark_of, read_cameras
 from ..result.summary import read_shown
 from ..words import told
 from ..work import monitor
-from ..work.child import blender_command
 from .shared import ImportedOperator, result_paths, result_root
 
 _FILM_SAMPLES = 16

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import bpy
 
-from ..home import ADDON, CODE
+from .home import ADDON, CODE
 
 _LOAD = """
 import sys
@@ -29,7 +29,7 @@ def blender_command(words: Sequence[str]) -> tuple[list[str], dict[str, str]]:
     """Command line and environment variables that run a command of `headless`.
 
     Args:
-        words: `scene`, `render` or `relight`, the result folder and options.
+        words: The command and its arguments.
 
     Returns:
         This Blender's executable with this extension, or, where Blender is a module of Python, a
