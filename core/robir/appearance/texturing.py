@@ -24,14 +24,13 @@ from robir.appearance.texture.texel_size import (
 )
 from robir.appearance.texture.texels import TexelAlbedo, Texels
 from robir.capture.capture import Capture, View
-from robir.capture.images.loading import resize_view
+from robir.capture.images.loading import resize_views
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.mesh.unwrap import rasterise_atlas
 from robir.steps import Course, Step
 from robir.transport.observe import spread_views
 from robir.transport.surfels import interpolate
-from robir.workers import side_by_side
 
 Floats = NDArray[np.float32]
 
@@ -102,7 +101,7 @@ def textured(
     texels = Texels(position=position, normal=normal)
     # a pixel about as large as a texel
     spread = spread_views(capture.train, _ALBEDO_VIEWS)
-    views = tuple(side_by_side(lambda view: resize_view(view, side), spread))
+    views = resize_views(spread, side)
     start = Texture(
         problem=problem,
         light=light,

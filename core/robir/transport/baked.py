@@ -12,7 +12,7 @@ from scipy.sparse import csr_matrix
 
 from robir.capture.arrays import stored_arrays
 from robir.capture.capture import View
-from robir.capture.images.loading import resize_view
+from robir.capture.images.loading import resize_views
 from robir.errors import StorageError
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
@@ -22,7 +22,6 @@ from robir.transport.config import TransportConfig
 from robir.transport.observe import Observations, observe, spread_views
 from robir.transport.surfels import Surfels, sample_surfels
 from robir.transport.visibility import Visibility, trace_visibility
-from robir.workers import side_by_side
 
 _FORMS = {
     "surfels.npz": {
@@ -150,8 +149,7 @@ def bake(mesh: Mesh, views: tuple[View, ...], config: TransportConfig, seed: int
         The transport.
     """
     tracer = EmbreeTracer(mesh.vertices, mesh.faces)
-    spread, side = spread_views(views, config.max_views), config.observation_side
-    chosen = tuple(side_by_side(lambda view: resize_view(view, side), spread))
+    chosen = resize_views(spread_views(views, config.max_views), config.observation_side)
     surfels, observations = _seen_surfels(tracer, mesh, chosen, config, seed)
     directions = fibonacci_sphere(config.num_directions).numpy().astype(np.float32)
     visibility = trace_visibility(mesh, tracer, surfels, directions, RAY_OFFSET)

@@ -112,16 +112,21 @@ def as_rays(
     """
     cosine = (view_dir * normal).sum(1).clip(0.02, 1)
     mirror = 2 * cosine[:, None] * normal - view_dir
-    nearest = side_by_side(
-        lambda part: (mirror[part] @ directions.T).argmax(1), blocks(len(mirror), CHUNK)
-    )
     return ViewRays(
         sample,
         view,
         torch.from_numpy(view_dir.astype(np.float32)),
         torch.from_numpy(cosine.astype(np.float32)),
-        torch.from_numpy(np.concatenate(nearest) if nearest else np.zeros(0, np.int64)),
+        torch.from_numpy(_nearest(mirror, directions)),
     )
+
+
+def _nearest(towards: Floats, directions: Floats) -> NDArray[np.int64]:
+    """Index (M,) of the nearest of fixed directions (D, 3), unit, to each vector (M, 3)."""
+    found = side_by_side(
+        lambda part: (towards[part] @ directions.T).argmax(1), blocks(len(towards), CHUNK)
+    )
+    return np.concatenate([np.zeros(0, np.int64), *found])
 
 
 def reflected_share(rays: ViewRays, roughness: float) -> Tensor:
@@ -211,10 +216,7 @@ def _radiance_of_surfaces(
     met = transport.visibility.bounce[rows].tocoo()
     towards = position[met.col] - position[rows[met.row]]
     # lengths do not change which direction is the nearest
-    nearest = side_by_side(
-        lambda part: (towards[part] @ directions.T).argmax(1), blocks(len(towards), CHUNK)
-    )
-    column = np.concatenate([np.zeros(0, np.int64), *nearest])
+    column = _nearest(towards, directions)
     shape = (len(rows), len(directions))
     place = torch.from_numpy(met.row.astype(np.int64) * len(directions) + column)
 

@@ -30,7 +30,7 @@ from robir.appearance.photometry.own_light import have_own_lights
 from robir.appearance.photometry.vignetting import NO_FALLOFF, Falloff, solve_falloff
 from robir.appearance.proof import Proof, fitted_views
 from robir.capture.capture import Capture, View
-from robir.capture.images.loading import resize_view
+from robir.capture.images.loading import resize_views
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.maths.tone import curve_from_name
 from robir.maths.tone_curve import AbstractToneCurve
@@ -38,7 +38,6 @@ from robir.steps import Step
 from robir.transport.baked import Transport
 from robir.transport.observe import Observations, observe
 from robir.transport.surfels import Surfels
-from robir.workers import side_by_side
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -99,7 +98,7 @@ class Comparison:
         points = surfels.subset(keep)
 
         def observed(views: Sequence[View]) -> Observations:
-            small = tuple(side_by_side(lambda view: resize_view(view, _IMAGE_SIDE), views))
+            small = resize_views(views, _IMAGE_SIDE)
             offset = transport.visibility.offset
             return observe(tracer, points.position, points.normal, small, offset)
 

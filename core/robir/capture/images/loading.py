@@ -3,10 +3,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +30,7 @@ from robir.capture.images.linear import LINEAR, coded
 from robir.capture.images.opencv import cv2
 from robir.capture.images.pixels import Photo, in_srgb, pixels_of
 from robir.capture.refusal import refuse
+from robir.workers import side_by_side
 
 Bytes = NDArray[np.uint8]
 Size = tuple[int, int]
@@ -150,6 +151,11 @@ def resize_view(view: View, max_side: int) -> View:
     size = size_within((view.camera.width, view.camera.height), max_side)
     image, mask = shrink(view.image_display, view.mask, *size)
     return replace(view, image_display=image, mask=mask, camera=view.camera.resized(*size))
+
+
+def resize_views(views: Iterable[View], max_side: int) -> tuple[View, ...]:
+    """The views so, side by side."""
+    return tuple(side_by_side(partial(resize_view, max_side=max_side), views))
 
 
 def straightened(camera: Camera, distortion: Distortion) -> Camera:
