@@ -40,6 +40,8 @@ _FIRST_TURN = 0.15  # first step of a search downhill, about each axis (radians)
 _FIRST_SCALE = 0.1  # the same of the size, its logarithm
 _FIRST_SHIFT = 0.08  # the same along each axis (unit frame)
 _EVALUATIONS = 250  # places that such a search looks at
+# share, and first steps above, by which the last places of a search differ
+_COARSE_TOLERANCE, _FINE_TOLERANCE = 2e-3, 3e-4
 # share of outline and mask that both have from which a mesh stands nearly right, and what is off
 # is followed from there
 _NEARLY = 0.5
@@ -179,7 +181,7 @@ def better_place(
     fine = Outlines(views, FINE_SIDE)
 
     def finished(start: Similarity) -> tuple[Similarity, Agreement]:
-        place, _ = _downhill(start, tracer, fine)
+        place, _ = _downhill(start, tracer, fine, _FINE_TOLERANCE)
         return place, fine.of(tracer, place)
 
     centre, radius = enclosing_sphere(vertices)
@@ -200,8 +202,10 @@ def better_place(
             tried = [coarse.balanced(tracer, place) for place in tried]
         shares = np.array([coarse.of(tracer, place).share for place in tried])
         first = np.argsort(-shares)[:_FOLLOWED]
-        followed = [_downhill(tried[k], tracer, coarse) for k in first]
-        start = max(followed, key=lambda pair: pair[1])[0]
+        followed = [_downhill(tried[k], tracer, coarse, _COARSE_TOLERANCE) for k in first]
+        start, share = max(followed, key=lambda pair: pair[1])
+        if share <= best.share:  # finishing adds less than what is asked for
+            continue
         place, agreement = finished(start)
         if agreement.share > best.share + BETTER:
             found, best = place, agreement
@@ -209,7 +213,7 @@ def better_place(
 
 
 def _downhill(
-    start: Similarity, tracer: EmbreeTracer, outlines: Outlines
+    start: Similarity, tracer: EmbreeTracer, outlines: Outlines, tolerance: float
 ) -> tuple[Similarity, float]:
     """The best place near another, and the share there (Nelder and Mead 1965)."""
 
@@ -224,7 +228,7 @@ def _downhill(
 
     steps = np.diag([_FIRST_TURN] * 3 + [_FIRST_SCALE] + [_FIRST_SHIFT] * 3)
     simplex = np.concatenate([np.zeros((1, 7)), steps])
-    limits = {"maxfev": _EVALUATIONS, "xatol": 1e-4, "fatol": 1e-4}
+    limits = {"maxfev": _EVALUATIONS, "xatol": tolerance, "fatol": tolerance}
     found = minimize(
         lambda x: -outlines.of(tracer, moved(x)).share,
         np.zeros(7),
