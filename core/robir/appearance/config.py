@@ -27,7 +27,7 @@ class AppearanceConfig:
         num_sharp_lobes: Sharp lobes (suns, lamps) that may be found at most.
         num_scan_directions: Directions of the whole sphere scanned for suns.
         num_solve_surfels: Surface samples by which suns and the tone curve are found; the light's
-            strengths and the gloss are found by all that two photographs show.
+            strengths and the specular material are found by all that two photographs show.
         iterations: Adam steps of the last light solve; trial solves take a third.
         num_materials: Patches of like albedo and place that share one roughness.
         shading_size: Side of the square atlas, texels, on which light and paint are told apart.

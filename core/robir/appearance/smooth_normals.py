@@ -34,7 +34,7 @@ _NUM_SAMPLES = 128  # samples that are averaged at most, the nearest
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Surface:
+class LitSurface:
     """What light falls on.
 
     Attributes:
@@ -71,7 +71,7 @@ def smoothed(position: Floats, normal: Floats, surfels: Surfels) -> Floats:
     return result
 
 
-def _smooth_normals(state: Surface) -> Surface:
+def _smooth_normals(state: LitSurface) -> LitSurface:
     mesh, surfels = state.mesh, state.transport.surfels
     own = smoothed(surfels.position, surfels.normal, surfels)
     vertices = smoothed(mesh.vertices.astype(np.float32), mesh.normals, surfels)
@@ -82,7 +82,7 @@ def _smooth_normals(state: Surface) -> Surface:
     )
 
 
-SURFACE: tuple[Step[Surface], ...] = (
+SURFACE: tuple[Step[LitSurface], ...] = (
     Step(
         name="smooth-normals",
         purpose="frees the surface's normals of their grain",

@@ -2,7 +2,7 @@
 """Samples anywhere on the surface whose albedos have one hue.
 
 Neighbours do not see the shading of a smooth thing, which varies as slowly as its light. Two
-samples of the same hue are often of one paint, wherever they lie and face, and under the right
+samples of the same hue are often of one material, wherever they lie and face, and under the right
 light they are as bright as each other. Like hue under a wrong light is like hue still where the
 light is near grey, so a light that is half solved is enough to find them.
 """

@@ -22,7 +22,7 @@ from torch import Tensor
 
 from robir.appearance.light.far_pairs import far_pairs
 from robir.appearance.light.pair_loss import PairWeights
-from robir.appearance.light.told import NOTHING_TOLD, Told
+from robir.appearance.light.prior import NO_PRIOR, LightPrior
 from robir.appearance.photometry.statistics import Pairs, Radiance
 from robir.maths.adam import Adam
 from robir.maths.daylight import PART, SUN, WHOLE
@@ -60,13 +60,13 @@ class Transfer:
         soft: (U, K) irradiance for unit amplitude of each soft lobe.
         sharp: (U, J) irradiance for unit energy of each sharp lobe, visibility included.
         indirect: (U, 3) irradiance from surfaces, fixed by the photographs.
-        sure: (U,) bool, where an error of the mesh neither gives nor takes a sun; all if None.
+        certain: (U,) bool, where an error of the mesh neither gives nor takes a sun; all if None.
     """
 
     soft: Tensor
     sharp: Tensor
     indirect: Tensor
-    sure: Tensor | None = None
+    certain: Tensor | None = None
 
     @cached_property
     def soft_rows(self) -> Tensor:
@@ -167,14 +167,14 @@ class Priors:
     """What a solve knows of albedo and light beforehand.
 
     Attributes:
-        told: What evidence tells of the light as a whole; it weighs as `_HUE` does, per squared
+        light: What evidence tells of the light as a whole; it weighs as `_HUE` does, per squared
             deviation.
         far: Weight of equal albedo where the hue is one, see far_pairs.py.
         shadow: Weight of equal albedo on both sides of a shadow.
         smooth: Weight of neighbouring soft lobes being alike.
     """
 
-    told: Told = NOTHING_TOLD
+    light: LightPrior = NO_PRIOR
     far: float = 0.0
     shadow: float = field(default_factory=lambda: _SHADOW)
     smooth: float = field(default_factory=lambda: _SMOOTH)
@@ -218,7 +218,9 @@ def solve_amplitudes(
     whole = torch.nonzero(~radiance.clipped.any(1))[:, 0]
     alike: PairWeights | None = None
     count = len(radiance.seen)
-    sure = torch.arange(count) if transfer.sure is None else torch.nonzero(transfer.sure)[:, 0]
+    certain = (
+        torch.arange(count) if transfer.certain is None else torch.nonzero(transfer.certain)[:, 0]
+    )
     for step in range(iterations):
         fraction = step / max(1, iterations - 1)
         amplitudes = Amplitudes(soft=log_soft.exp(), sharp=log_sharp.exp())
@@ -230,13 +232,13 @@ def solve_amplitudes(
             alike = PairWeights.of(pairs_far, radiance.clipped)
         if alike is not None:
             loss = loss + priors.far * alike.loss(log_albedo)
-        loss = loss + _BOUNDS * range_loss(log_albedo, (whole, sure), priors)
+        loss = loss + _BOUNDS * range_loss(log_albedo, (whole, certain), priors)
         sky = torch.log(amplitudes.soft.mean(0))
         loss = loss + _PART * PART.absolute(log_soft - sky).mean()
         if num_sharp:
             loss = loss + _HUE * SUN.squared(log_sharp - sky).mean()
         sent = log_sent(irradiance, transfer.indirect)
-        loss = loss + _HUE * (WHOLE.squared(sent) + priors.told.squared(sent))
+        loss = loss + _HUE * (WHOLE.squared(sent) + priors.light.squared(sent))
         loss = loss + priors.smooth * (log_soft[near] - log_soft[:, None]).abs().mean()
         loss = loss + _SPREAD * unevenness(amplitudes.soft, hidden)
         loss.backward()
@@ -273,13 +275,13 @@ def range_loss(log_albedo: Tensor, chosen: tuple[Tensor, Tensor], priors: Priors
         chosen: Samples of which no channel is clipped, and those of which it is sure.
         priors: Limits.
     """
-    whole, sure = chosen
+    whole, certain = chosen
     # the quantile, linear between ranks, without sorting what lies below
-    brightness = log_albedo.index_select(0, sure).amax(1)
+    brightness = log_albedo.index_select(0, certain).amax(1)
     rank, part = divmod(BRIGHTEST_QUANTILE * (len(brightness) - 1), 1.0)
     above = brightness.topk(len(brightness) - int(rank)).values
     brightest = torch.lerp(above[-1], above[max(len(above) - 2, 0)], part)
-    if priors.told.level is not None:
+    if priors.light.level is not None:
         return 2 * brightest.clamp(min=0)
     high = (brightest - np.log(_BRIGHTEST)).clamp(min=0)
     middle = (log_albedo.index_select(0, whole).mean() - np.log(MEAN_ALBEDO)) ** 2
@@ -290,8 +292,9 @@ def unevenness(soft: Tensor, hidden: Tensor) -> Tensor:
     """How far lobes that few samples see outshine the sky as a whole.
 
     The log of their mean square over the square of all lobes' mean: where all are hidden, of their
-    number over the participation ratio. A studio's boxes and lamps come to about .9, an outdoor sky
-    without its sun to .1. A lobe that is well seen may be as bright as the photographs have it.
+    number over the participation ratio. A studio's boxes and lamps come to about 0.9, an outdoor
+    sky without its sun to 0.1. A lobe that is well seen may be as bright as the photographs have
+    it.
 
     Args:
         soft: (K, 3) amplitudes, > 0.

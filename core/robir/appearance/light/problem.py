@@ -12,9 +12,9 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from robir.appearance.blocks import block_numbers
-from robir.appearance.light.known_paint import KnownPaint
+from robir.appearance.light.known_albedo import KnownAlbedo
 from robir.appearance.light.lobes import MEAN_ALBEDO, Transfer, soft_transfer
-from robir.appearance.photometry.exposure import Exposures, Gains
+from robir.appearance.photometry.exposure import ExposureModel, Gains
 from robir.appearance.photometry.statistics import (
     Pairs,
     Radiance,
@@ -58,7 +58,7 @@ class Scene:
         rows: (U,) samples that take part in the light solve; all are seen by two views or more.
         pairs: Neighbours among them.
         exposures: Where the photographs were not exposed alike, what tells how; else None.
-        known_paint: A spot whose paint the user tells, if any.
+        known_albedo: A spot whose paint the user tells, if any.
         sun: (3,) unit, towards the first sun, if the user tells it.
     """
 
@@ -68,8 +68,8 @@ class Scene:
     offset: float
     rows: NDArray[np.int64]
     pairs: Pairs
-    exposures: Exposures | None = None
-    known_paint: KnownPaint | None = None
+    exposures: ExposureModel | None = None
+    known_albedo: KnownAlbedo | None = None
     sun: Floats | None = None
 
     def bounced(self, exitant: Tensor) -> Tensor:

@@ -44,7 +44,7 @@ _BASIN = 1.5  # spacings of the scan within which a candidate must be the best
 SEPARATION = 0.3
 # directions about a candidate that are compared anew by more samples: along a shadow that runs off
 # the ground those of the scan may not tell a sun from a lower place
-_NUM_RIVALS = 12
+_NUM_ALTERNATIVES = 12
 _NUM_STARTS = 3  # of these, how many the search begins from
 _NUM_ROUNDS = 4  # rings of the search
 _SHRINKING = 0.6  # radius of a ring over that of the one before
@@ -106,7 +106,8 @@ class SunCandidate:
         gain: How much lower that is than without any sun, as a share.
         lit: Share of the samples that it lights.
         least_lit: Share that it must light to be a sun.
-        rivals: (R, 3) other directions that the scan takes for the same light, lowest loss first.
+        alternatives: (R, 3) other directions that the scan takes for the same light, lowest loss
+            first.
     """
 
     axis: Floats
@@ -114,7 +115,7 @@ class SunCandidate:
     gain: float
     lit: float = 1.0
     least_lit: float = 0.0
-    rivals: Floats = field(default_factory=lambda: np.zeros((0, 3), np.float32))
+    alternatives: Floats = field(default_factory=lambda: np.zeros((0, 3), np.float32))
 
 
 def candidate_loss(problem: SunProblem, transfer: Tensor) -> tuple[Tensor, Tensor]:
@@ -200,7 +201,7 @@ def scan(problem: SunProblem, count: int, keep: int) -> list[SunCandidate]:
                 gain=1 - loss / float(without),
                 lit=float(lit[indices[index]]),
                 least_lit=least_lit,
-                rivals=ordered[same][:_NUM_RIVALS],
+                alternatives=ordered[same][:_NUM_ALTERNATIVES],
             )
         )
         if len(chosen) == keep:
@@ -246,17 +247,17 @@ def refine(problem: SunProblem, start: SunCandidate, reach: float) -> SunCandida
                 *ring(head, radius / 2, 4, 0.5).astype(np.float32),
             )
         ]
-        judged = _judged(problem, trials, sharpness)
-        best = min(judged, key=lambda candidate: candidate.loss)
+        scored = _scored(problem, trials, sharpness)
+        best = min(scored, key=lambda candidate: candidate.loss)
         heads = [best.axis]
-        tried += judged
+        tried += scored
     axes = np.stack([candidate.axis for candidate in tried])
     losses = np.array([candidate.loss for candidate in tried])
     lowest = lowest_point(best.axis, axes, losses)
     return replace(best, axis=lowest, least_lit=start.least_lit)
 
 
-def _judged(problem: SunProblem, axes: list[Floats], sharpness: float) -> list[SunCandidate]:
+def _scored(problem: SunProblem, axes: list[Floats], sharpness: float) -> list[SunCandidate]:
     """Directions as lobes of some sharpness, each at its best strength."""
 
     def traced(axis: Floats) -> Floats:
@@ -274,11 +275,11 @@ def _judged(problem: SunProblem, axes: list[Floats], sharpness: float) -> list[S
 
 def _best_starts(problem: SunProblem, start: SunCandidate, reach: float) -> list[Floats]:
     """The best of a candidate and its rivals, none within `reach` of a better one."""
-    if not len(start.rivals):
+    if not len(start.alternatives):
         return [start.axis]
-    judged = _judged(problem, [start.axis, *start.rivals], 2 / reach**2)
+    scored = _scored(problem, [start.axis, *start.alternatives], 2 / reach**2)
     starts: list[Floats] = []
-    for candidate in sorted(judged, key=lambda candidate: candidate.loss):
+    for candidate in sorted(scored, key=lambda candidate: candidate.loss):
         if all(float(candidate.axis @ other) < np.cos(reach) for other in starts):
             starts.append(candidate.axis)
     return starts[:_NUM_STARTS]

@@ -76,14 +76,14 @@ def find_suns(problem: Problem, config: AppearanceConfig, seed: int) -> Light:
     for index in range(config.num_sharp_lobes):
         refined = _searched(problem, light, config, index, seed)
         best = _best_addition(problem, light, refined, trial)
-        is_told = index == 0 and scene.sun is not None
-        if best is None or (best.loss > light.loss and not is_told):
+        is_known = index == 0 and scene.sun is not None
+        if best is None or (best.loss > light.loss and not is_known):
             break
         is_seen = _casts_shadow(problem, light, best)
         gains = 1 - best.loss / light.loss > _LEAST_GAIN
         # The first sun may be known from its shadow, however small, or from its shading alone, as
         # on a lone convex object; a further one needs both.
-        if not (is_told or (is_seen or gains if index == 0 else is_seen and gains)):
+        if not (is_known or (is_seen or gains if index == 0 else is_seen and gains)):
             break
         light = best
         losses.append(light.loss)
@@ -102,12 +102,12 @@ def _searched(
         index: How many these are.
         seed: Of the sub-samples.
     """
-    rng, told = np.random.default_rng(seed + index), problem.scene.sun
+    rng, known_sun = np.random.default_rng(seed + index), problem.scene.sun
     base = None if index == 0 else _direct(problem, light)
     coarse = _sub_sampled(problem, base, _SCAN_SAMPLES, rng)
     fine = _sub_sampled(problem, base, config.num_solve_surfels, rng)
-    if index == 0 and told is not None:
-        candidates = [SunCandidate(axis=told, loss=np.inf, gain=0.0)]
+    if index == 0 and known_sun is not None:
+        candidates = [SunCandidate(axis=known_sun, loss=np.inf, gain=0.0)]
     else:
         scanned = scan(coarse, config.num_scan_directions, _NUM_CANDIDATES)
         candidates = _promising(scanned, is_first=index == 0)

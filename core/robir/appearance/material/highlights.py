@@ -135,10 +135,10 @@ def read(highlights: Highlights, patch: Rows, num_patches: int) -> Readings:
     peaks = -0.5 * (_peak_ratios(highlights, patch, known) / _PEAK_ERROR) ** 2
     believed = count[known] / (count[known] + _HALF_BELIEVED)
     log = (fit + _on_grid(peaks)) * believed[:, None]
-    likely = np.exp(log - log.max(1, keepdims=True))
-    likely /= likely.sum(1, keepdims=True)
-    mean = likely @ grid
-    variance = (likely * (grid - mean[:, None]) ** 2).sum(1)
+    likelihood = np.exp(log - log.max(1, keepdims=True))
+    likelihood /= likelihood.sum(1, keepdims=True)
+    mean = likelihood @ grid
+    variance = (likelihood * (grid - mean[:, None]) ** 2).sum(1)
     anyhow = float(grid.var())
     precision = 1 / variance - 1 / anyhow
     says = precision > 0.5
@@ -175,8 +175,8 @@ def fit_of(codes: Reals, plain: Reals) -> Reals:
     """
     left = 1 - _ROUGH_SHARE
     rough = codes[:, -1] + left * np.maximum(plain - codes[:, -1], 0)
-    likely = -_STEEPNESS * np.log(np.c_[codes, rough] + _UNSEEN_CODES)
-    return _on_grid(likely)
+    likelihood = -_STEEPNESS * np.log(np.c_[codes, rough] + _UNSEEN_CODES)
+    return _on_grid(likelihood)
 
 
 def _on_grid(values: Reals) -> Reals:

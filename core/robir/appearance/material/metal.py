@@ -25,7 +25,7 @@ from robir.appearance.material.highlights import LEVELS
 from robir.appearance.material.observed import dense, looked_at
 from robir.appearance.material.reflections import Reflections, ViewRays, tilts_of
 from robir.appearance.material.segments import pieces
-from robir.appearance.material.trial import Trial
+from robir.appearance.material.trial import MaterialTrial
 from robir.workers import num_workers, side_by_side
 
 Floats = NDArray[np.float32]
@@ -38,7 +38,7 @@ HUE_OF_LOG = np.array([[-1.0, 0.0, 1.0], [-0.5, 1.0, -0.5]])
 LOG_OF_HUE = np.linalg.pinv(HUE_OF_LOG)
 """Log colours, but for their mean, of these two."""
 
-_PER_PAINT_ERROR = 1.4  # log odds per logarithm of the display error, codes, that paint leaves
+_PER_DIELECTRIC_ERROR = 1.4  # log odds per logarithm of the display error, codes, that paint leaves
 _PER_METAL_ERROR = -2.98  # the same of metal's error over paint's
 _PER_BRIGHTNESS = -1.26  # the same of bright metal's error over that of any
 _CONSTANT = -1.3  # log odds where all these are 0
@@ -48,13 +48,13 @@ _MOST_ODDS = 4.0  # log odds, either way, that one neighbourhood may tell
 # shade
 _TILTS_TOGETHER = 4  # tilts of the normal tried at a time: each holds all observations
 _NUM_LEVELS = 5
-_JUDGED = 3400  # samples that are judged; the others go by those about them
+_NUM_CLASSIFIED = 3400  # samples that are judged; the others go by those about them
 _NEIGHBOURS = 8  # of these, those that judge together under one roughness
-_WITNESSES = 12  # of these, those whose log odds are averaged
-_LIKELY = 0.5  # log odds from which a sample may be part of metal
+_NUM_AVERAGED = 12  # of these, those whose log odds are averaged
+_CANDIDATE_ODDS = 0.5  # log odds from which a sample may be part of metal
 # mean log odds from which such a part is metal: paint that is taken for metal costs a good albedo
 # more than metal that is missed costs a bad one
-_CERTAIN = 2.45
+_METAL_ODDS = 2.45
 _GAP = 3.0  # gap, in spacings of the judged samples, across which samples belong to one part
 _FEWEST = 8  # judged samples of a part
 _BRIGHTEST_CHANNEL = 0.5  # brightest channel that bright metal has at least
@@ -93,11 +93,11 @@ class MetalParts:
         return MetalParts(number[self.part], self.base[kept], self.roughness[kept])
 
 
-def metal_among(
+def find_metal(
     solved: tuple[Problem, Light],
     rows: Rows,
     alike: tuple[Floats, Floats],
-    trial: Trial,
+    trial: MaterialTrial,
     dielectric: Floats,
 ) -> MetalParts:
     """Parts of samples (U,) that are likely metal.
@@ -113,14 +113,14 @@ def metal_among(
     """
     (problem, light), (points, hue) = solved, alike
     surfels = problem.scene.transport.surfels
-    judged = np.arange(0, len(rows), -(-len(rows) // _JUDGED) or 1)
-    metal = metal_errors(problem, light, rows[judged])
-    together = near(points[judged], points[judged], _NEIGHBOURS)
-    witnesses = near(points[judged], points, _WITNESSES)
-    odds = metal_odds(dielectric[judged], metal, together)[witnesses].mean(1)
-    nearest = witnesses[:, 0]
+    classified = np.arange(0, len(rows), -(-len(rows) // _NUM_CLASSIFIED) or 1)
+    metal = metal_errors(problem, light, rows[classified])
+    together = near(points[classified], points[classified], _NEIGHBOURS)
+    averaged = near(points[classified], points, _NUM_AVERAGED)
+    odds = metal_odds(dielectric[classified], metal, together)[averaged].mean(1)
+    nearest = averaged[:, 0]
     spacing = surfels.spacing * float(np.sqrt(len(surfels) / len(rows)))
-    place = surfels.position[rows], hue[judged][together].mean(1)[nearest], spacing
+    place = surfels.position[rows], hue[classified][together].mean(1)[nearest], spacing
     observed = trial.reflections, trial.rays, trial.seen.linear
     return metal_parts(odds, place, observed, metal[0][nearest])
 
@@ -183,13 +183,13 @@ def metal_odds(
         metal: The same as metal, from `metal_errors`.
         around: (U, C) samples that judge together with each.
     """
-    paint, free, bright = (
+    matched, free, bright = (
         errors[around].mean(1).min(1).clip(1e-6) for errors in (dielectric, *metal)
     )
     odds = (
         _CONSTANT
-        + _PER_PAINT_ERROR * np.log(255 * paint + 0.5)
-        + _PER_METAL_ERROR * np.log((free / paint).clip(_LEAST_RATIO))
+        + _PER_DIELECTRIC_ERROR * np.log(255 * matched + 0.5)
+        + _PER_METAL_ERROR * np.log((free / matched).clip(_LEAST_RATIO))
         + _PER_BRIGHTNESS * np.log(bright / free)
     )
     return odds.clip(-_MOST_ODDS, _MOST_ODDS)
@@ -215,7 +215,7 @@ def metal_parts(
         The parts.
     """
     levels = LEVELS[:_NUM_LEVELS]
-    rows = np.flatnonzero(odds > _LIKELY)
+    rows = np.flatnonzero(odds > _CANDIDATE_ODDS)
     position, hue, spacing = place
     piece, part = np.full(len(odds), -1), np.full(len(odds), -1)
     if len(rows):
@@ -225,7 +225,7 @@ def metal_parts(
     readings: dict[float, Floats] = {}
     for index in range(piece.max(initial=-1) + 1):
         inside = piece == index
-        if inside.sum() < _FEWEST or odds[inside].mean() < _CERTAIN:
+        if inside.sum() < _FEWEST or odds[inside].mean() < _METAL_ODDS:
             continue
         level = levels[int(errors[inside].mean(0).argmin())]
         if level not in readings:
@@ -236,7 +236,7 @@ def metal_parts(
         roughness.append(level)
         sizes.append(inside.sum())
     log = np.log(np.reshape(bases, (-1, 3)).clip(1e-3))
-    base = np.exp(likely_base(log, np.array(sizes)))
+    base = np.exp(base_colour_posterior(log, np.array(sizes)))
     return MetalParts(
         part=part,
         base=base.astype(np.float32),
@@ -244,7 +244,7 @@ def metal_parts(
     )
 
 
-def likely_base(read: Reals, count: NDArray[np.int64]) -> Reals:
+def base_colour_posterior(read: Reals, count: NDArray[np.int64]) -> Reals:
     """Log base colours (P, 3) of parts, from what they read and from what metals there are.
 
     Most scenes hold one metal, so the parts of a scene are drawn from what all of them read, and

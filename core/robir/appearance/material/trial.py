@@ -6,7 +6,7 @@ part, paint with the diffuse light under its specular layer. That is each sample
 own views would only repeat, so it is taken from other views than the one that is predicted: the
 views are parted in folds, and each fold is predicted by the rest. Roughness and base colour are
 common to hundreds of observations at least, and fitted to all. Which of two materials is the better
-is told by `proof`.
+is told by `held_out_test`.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from robir.appearance.held_out_test import EVERY, HeldOutTest
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
-from robir.appearance.material.observed import LEAST_DIFFUSE, Seen, looked_at
+from robir.appearance.material.observed import LEAST_DIFFUSE, ObservedRays, looked_at
 from robir.appearance.material.reflections import Reflections, ViewRays, reflected_share
-from robir.appearance.proof import EVERY, Proof
 
 Reals = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Trial:
+class MaterialTrial:
     """Some samples in all views.
 
     Attributes:
@@ -39,10 +39,10 @@ class Trial:
 
     reflections: Reflections
     rays: ViewRays
-    seen: Seen
+    seen: ObservedRays
 
     @classmethod
-    def of(cls, problem: Problem, light: Light, rows: NDArray[np.int64]) -> Trial:
+    def of(cls, problem: Problem, light: Light, rows: NDArray[np.int64]) -> MaterialTrial:
         """Samples (U,) of a scene under a light."""
         reflections, rays, seen, _ = looked_at(problem, light, rows)
         return cls(reflections=reflections, rays=rays, seen=seen)
@@ -55,7 +55,7 @@ class Trial:
         elsewhere = count.sum(1)[self.rays.sample] > count[self.rays.sample, fold]
         return torch.from_numpy(np.flatnonzero(chosen[self.rays.sample] & elsewhere))
 
-    def paint_errors(self, chosen: Tensor, level: Reals | None) -> Reals:
+    def dielectric_errors(self, chosen: Tensor, level: Reals | None) -> Reals:
         """Squared errors (M,) of rays if their samples are paint.
 
         Args:
@@ -85,12 +85,14 @@ class Trial:
         white = self.reflections.radiance(self.rays.of(chosen), roughness)[:, 1].clamp(min=1e-5)
         return seen.squared(white * (seen.linear / white).median(0).values)
 
-    def proof(self, chosen: Tensor, plain: Reals, rich: Reals) -> Proof:
+    def compare(self, chosen: Tensor, plain: Reals, rich: Reals) -> HeldOutTest:
         """What rays say of two models by their errors (M,)."""
-        return Proof.of(plain, rich, (self.rays.view[chosen.numpy()],))
+        return HeldOutTest.of(plain, rich, (self.rays.view[chosen.numpy()],))
 
 
-def predicted_below(seen: Seen, rays: ViewRays, specular: Tensor, through: Tensor) -> Tensor:
+def predicted_below(
+    seen: ObservedRays, rays: ViewRays, specular: Tensor, through: Tensor
+) -> Tensor:
     """Diffuse radiance (M, 3) that leaves rays' samples, as other folds of the views have it.
 
     Args:

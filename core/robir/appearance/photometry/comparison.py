@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """What photographs of the same points tell about how they were exposed and lit.
 
-Whether anything is needed is judged under a plain tone curve, as any curve
-makes the same photographs brighter. Gains count by how far points of some orientations tell the
-same as points of the others: an exposure changes all alike, while sheen depends on where a point
-faces. A falloff towards the corners, common to all
-photographs, is proven by those it was not solved by.
+Whether anything is needed is judged under a plain tone curve, as any curve makes the same
+photographs brighter. Gains count by how far points of some orientations tell the same as points of
+the others: an exposure changes all alike, while specular reflection depends on where a point faces.
+A falloff towards the corners, common to all photographs, is proven by those it was not solved by.
 """
 
 from __future__ import annotations
@@ -17,10 +16,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from robir.appearance.held_out_test import HeldOutTest, fitted_views
 from robir.appearance.photometry.exposure import (
     LEAST_COSINE,
     LEAST_VIEWS,
-    Exposures,
+    ExposureModel,
     comparable,
     log_radiance,
 )
@@ -28,7 +28,6 @@ from robir.appearance.photometry.gains import LEAST_POINTS, orientations, real_s
 from robir.appearance.photometry.other_light import find_unlike, unlike
 from robir.appearance.photometry.own_light import have_own_lights
 from robir.appearance.photometry.vignetting import NO_FALLOFF, Falloff, solve_falloff
-from robir.appearance.proof import Proof, fitted_views
 from robir.capture.capture import Capture, View
 from robir.capture.images.loading import resize_views
 from robir.geometry.mesh.tracer import EmbreeTracer
@@ -47,7 +46,7 @@ _IMAGE_SIDE = 200  # longest side that photographs are read at (pixels)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Comparison:
+class PhotoComparison:
     """Photographs of the same points, and what these tell about how they were lit and exposed.
 
     Attributes:
@@ -78,7 +77,7 @@ class Comparison:
     @classmethod
     def of(
         cls, transport: Transport, tracer: EmbreeTracer, capture: Capture, seed: int
-    ) -> Comparison:
+    ) -> PhotoComparison:
         """Some points that enough views show, as these show them.
 
         Args:
@@ -114,11 +113,11 @@ class Comparison:
         )
 
     @property
-    def exposures(self) -> Exposures | None:
+    def exposures(self) -> ExposureModel | None:
         """What tells how photographs were exposed; None where they were exposed alike."""
         if not (self.gain_share or self.has_own_lights or self.falloff.strength):
             return None
-        return Exposures(
+        return ExposureModel(
             observations=self.observed(self.capture.without(self.other_light).views),
             normals=self.points.normal,
             gain_share=1.0 if self.has_own_lights else self.gain_share,
@@ -146,7 +145,7 @@ def _plain() -> AbstractToneCurve:
     return curve_from_name("standard")
 
 
-def _leave_out_other_light(state: Comparison) -> Comparison:
+def _leave_out_other_light(state: PhotoComparison) -> PhotoComparison:
     if not state.tells:
         return state
     few = state.observations
@@ -164,14 +163,14 @@ def _leave_out_other_light(state: Comparison) -> Comparison:
     return replace(state, other_light=frozenset(other), observations=few, log=log, kept=kept)
 
 
-def _find_falloff(state: Comparison) -> Comparison:
+def _find_falloff(state: PhotoComparison) -> PhotoComparison:
     if not state.tells:
         return state
     falloff = find_falloff(state.log, state.normals, state.off_axis)
     return replace(state, falloff=falloff)
 
 
-def _find_gains(state: Comparison) -> Comparison:
+def _find_gains(state: PhotoComparison) -> PhotoComparison:
     if not state.tells:
         return state
     dimming = state.falloff.log(state.off_axis)[..., None]
@@ -179,7 +178,7 @@ def _find_gains(state: Comparison) -> Comparison:
     return replace(state, gain_share=share) if share else state
 
 
-def _find_own_lights(state: Comparison) -> Comparison:
+def _find_own_lights(state: PhotoComparison) -> PhotoComparison:
     if not state.tells:
         return state
     log = state.log - state.falloff.log(state.off_axis)[..., None]
@@ -188,7 +187,7 @@ def _find_own_lights(state: Comparison) -> Comparison:
     return replace(state, has_own_lights=has_own_lights)
 
 
-COMPARISON: tuple[Step[Comparison], ...] = (
+COMPARISON: tuple[Step[PhotoComparison], ...] = (
     Step(
         name="other-light",
         purpose="leaves out photographs taken under another light than most",
@@ -238,14 +237,15 @@ def find_falloff(log: Array, normals: Floats, off_axis: NDArray[np.uint8]) -> Fa
     if falloff.strength <= 0:
         return NO_FALLOFF
     point, view = np.nonzero(np.isfinite(log[:, ~is_fitted, 0]))
-    # sheen at grazing angles, which is where the edges of photographs look, errs by orientation
+    # specular reflection at grazing angles, which is where the edges of photographs look, errs by
+    # orientation
     orientation = orientations(normals)
     plain, rich = (
         _kept_errors(log, normals, model.log(off_axis), is_fitted)
         for model in (NO_FALLOFF, falloff)
     )
-    is_proven = Proof.of(plain, rich, (view, orientation[point])).is_given
-    return solve_falloff(log, normals, off_axis) if is_proven else NO_FALLOFF
+    is_passed = HeldOutTest.of(plain, rich, (view, orientation[point])).is_passed
+    return solve_falloff(log, normals, off_axis) if is_passed else NO_FALLOFF
 
 
 def _kept_errors(
@@ -259,10 +259,10 @@ def _kept_errors(
         dimming: (P, V) log radiance against the middle of a photograph.
         is_fitted: (V,).
     """
-    evened = log - dimming[..., None]
-    gains = solve_gains(evened[:, is_fitted], normals)
-    points = np.nanmean(evened[:, is_fitted] - gains, axis=1)
-    apart = evened[:, ~is_fitted] - points[:, None]
+    equalised = log - dimming[..., None]
+    gains = solve_gains(equalised[:, is_fitted], normals)
+    points = np.nanmean(equalised[:, is_fitted] - gains, axis=1)
+    apart = equalised[:, ~is_fitted] - points[:, None]
     apart -= np.nanmedian(apart, axis=0)
     shown = log[:, ~is_fitted]
     known = np.isfinite(shown[..., 0])

@@ -30,7 +30,9 @@ from robir.transport.observe import Observations
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
-LEAST_COSINE = 0.5  # cosine from which a view of a point counts: flatter ones show mostly sheen
+LEAST_COSINE = (
+    0.5  # cosine from which a view of a point counts: flatter ones show mostly specular reflection
+)
 _DARKEST = 10  # code from which a curve's slope is worth something in all three channels (codes)
 _BRIGHTEST = 250  # code up to which it is (codes)
 LEAST_VIEWS = 4  # views of a point from which photographs can be compared
@@ -80,7 +82,7 @@ class Gains:
         """As plain values: "steps" (log2) per channel by view, "corner_steps", "slope_steps"."""
         return {
             "steps": {name: np.log2(gain).tolist() for name, gain in self.by_view.items()},
-            "corner_steps": self.falloff.corner_steps,
+            "corner_steps": self.falloff.corner_stops,
             "slope_steps": {name: (s / np.log(2)).tolist() for name, s in self.slopes.items()},
         }
 
@@ -100,15 +102,15 @@ class Gains:
         """
         if not self.by_view and not self.falloff.strength:
             return linear
-        evened = linear / self.at(observations.views, observations.off_axis, normals[:, None])
+        equalised = linear / self.at(observations.views, observations.off_axis, normals[:, None])
         clipped = torch.from_numpy(observations.clipped)
         hidden = clipped | torch.from_numpy(observations.weight <= 0)[..., None]
-        brightest = evened.masked_fill(hidden, 0.0).amax(1, keepdim=True)
-        return torch.where(clipped, torch.maximum(evened, brightest), evened)
+        brightest = equalised.masked_fill(hidden, 0.0).amax(1, keepdim=True)
+        return torch.where(clipped, torch.maximum(equalised, brightest), equalised)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Exposures:
+class ExposureModel:
     """What tells how photographs were exposed, whatever the tone curve.
 
     Attributes:

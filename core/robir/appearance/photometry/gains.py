@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """How much brighter each photograph is than the others, and whether that is its exposure.
 
-An exposure changes all points alike; sheen depends on where a point faces. So gains from points of
-some orientations must let photographs predict points of the others.
+An exposure changes all points alike; specular reflection depends on where a point faces. So gains
+from points of some orientations must let photographs predict points of the others.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def _least_squares(values: Array, weight: Array, prior: float) -> tuple[Array, A
 
 
 def real_share(log: Array, normals: Floats) -> float:
-    """How much of the gains is exposure, 0..1; the rest is sheen and noise.
+    """How much of the gains is exposure, 0..1; the rest is specular reflection and noise.
 
     An exposure changes all points alike, so points of some orientations and points of the others
     tell the same gains; what they tell apart is error. With g = gain + e of either half, the mean
@@ -111,9 +111,9 @@ def halves(orientation: NDArray[np.int64]) -> NDArray[np.bool_]:
 
 def others_errors(log: Array, gains: Array) -> Array:
     """Squared display errors (P, V) of what each view shows, predicted by the others."""
-    evened = log - gains
-    known = np.isfinite(evened[..., :1])
-    values = np.where(known, evened, 0.0)
+    equalised = log - gains
+    known = np.isfinite(equalised[..., :1])
+    values = np.where(known, equalised, 0.0)
     others = (values.sum(1, keepdims=True) - values) / np.maximum(
         known.sum(1, keepdims=True) - 1, 1
     )

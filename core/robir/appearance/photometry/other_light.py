@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-# how much brighter or darker than the rest a photograph must be: more than gloss makes it (steps)
-LEAST_STEPS = 0.5
+# stops by which a photograph must be brighter or darker than the rest: more than highlights make it
+LEAST_STOPS = 0.5
 # how much of that its points must differ among each other: more than in one exposed otherwise
 LEAST_SPREAD = 0.3
 # median difference beyond which the rest do not agree themselves: metal, of which all photographs
@@ -58,7 +58,7 @@ def find_unlike(log: Array, gains: Array) -> tuple[NDArray[np.bool_], Array]:
 
 def _is_unlike(gain: Array, left: Array) -> NDArray[np.bool_]:
     """Which photographs (V,) are much brighter or darker, and not by one factor."""
-    is_far = np.abs(gain) > LEAST_STEPS * np.log(2)
+    is_far = np.abs(gain) > LEAST_STOPS * np.log(2)
     return is_far & (left > LEAST_SPREAD * np.abs(gain))
 
 

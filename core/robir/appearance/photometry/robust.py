@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-_PRIOR_STEPS = 0.5  # standard deviation of gains before anything is seen (steps)
+_PRIOR_STOPS = 0.5  # standard deviation of gains before anything is seen (stops)
 _NORMAL_SHARPNESS = 10.0  # of the lobe within which normals share one vote: 10 are about 25 degrees
 # deviation between views of which a photograph's noise alone is capable (log radiance)
 _NOISE = 0.02
@@ -24,9 +24,9 @@ _NUM_ROUNDS = 20  # solves, weights renewed after each
 class Weighing:
     """Weights that are renewed from round to round.
 
-    A plane's sheen changes a whole photograph of it as a gain would, but each orientation by
-    another amount: every orientation has one vote, in which its dull points count more than its
-    glossy ones.
+    A plane's specular reflection changes a whole photograph of it as a gain would, but each
+    orientation by another amount: every orientation has one vote, in which its dull points count
+    more than its glossy ones.
 
     Attributes:
         known: (P, V) bool, where a view shows a point.
@@ -51,7 +51,7 @@ class Weighing:
 
     def prior(self) -> float:
         """Weight with which every gain is drawn to 0."""
-        deviation = _PRIOR_STEPS * np.log(2)
+        deviation = _PRIOR_STOPS * np.log(2)
         return self.weight[self.known].mean() * (self.noise / deviation) ** 2
 
     def renew(self, apart: Array) -> None:

@@ -30,7 +30,8 @@ _SHADOW_NORMAL = 0.6  # what a difference of one unit of normal counts in that d
 _LEAST_SHADOW_SAMPLES = 20  # in the shadow and lit, from which a shadow is compared
 _SHADOW_PARTNERS = 12  # lit partners of a sample in shadow
 # of how many lit samples one may be its partner, at least. The nearest all hug the shadow's edge,
-# where photographs blur it and the mesh displaces it; of those far away more are of another paint.
+# where photographs blur it and the mesh displaces it; of those far away more are of another
+# material.
 _SHADOW_PARTS = 4
 _LARGEST_PART = 1250  # of how many samples, lit or not, a part of these consists at most
 # width of the kernel that finds the commonest step across shadows: more than noise, less than the
@@ -230,7 +231,7 @@ class Pairs:
         weight = self.weight[some]
         starts = apart[:: max(1, len(apart) // _STEP_STARTS)]
         votes = torch.exp(-(torch.cdist(starts, apart) ** 2) / (2 * STEP_WIDTH**2)) @ weight
-        # seen through that kernel: what a light lacks is light, what two paints differ by is not
+        # seen through that kernel: what a light lacks is light, what two materials differ by is not
         hue = HueSpread(blue=SUN.blue, green=float(np.hypot(SUN.green, STEP_WIDTH)))
         step = starts[(votes * torch.exp(-0.5 * hue.squared(starts))).argmax()]
         for _ in range(_STEP_ROUNDS):

@@ -40,8 +40,8 @@ class Falloff:
     strength: float = 0.0
 
     @property
-    def corner_steps(self) -> float:
-        """Steps (log2) by which the corners are darker."""
+    def corner_stops(self) -> float:
+        """Stops (log2) by which the corners are darker."""
         return self.strength / float(np.log(2))
 
     def log(self, off_axis: Codes) -> Array:

@@ -60,7 +60,7 @@ def most_albedo(albedo: Floats, reflected: Floats, disagreement: Floats, alike: 
     return (albedo * np.maximum(reflected, 1.0) * slack).astype(np.float32)
 
 
-def evened(albedo: Floats, unknown: Floats, points: Floats, step: int) -> Floats:
+def smoothed_albedo(albedo: Floats, unknown: Floats, points: Floats, step: int) -> Floats:
     """Albedo without what errors of mesh, light and shadow edges leave in it.
 
     Every texel is drawn towards the mean of its wider surroundings over what is like it, weighted
@@ -124,10 +124,10 @@ def _drawn_together(own: tuple[Floats, Floats, Floats], about: Floats, known: Fl
 
 
 def _nearest(
-    points: Floats, among: Floats, count: int, reach: float
+    points: Floats, others: Floats, count: int, reach: float
 ) -> tuple[Floats, NDArray[np.int64]]:
     """Distances and indices (N, count) of the nearest within reach; infinite, 0 beyond."""
-    distance, index = cKDTree(among).query(
+    distance, index = cKDTree(others).query(
         points, count, eps=0.3, distance_upper_bound=reach, workers=num_workers()
     )
     missing = ~np.isfinite(distance)

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from robir.appearance.blocks import Table, difference_error, mean_of, table_of
 from robir.appearance.config import AppearanceConfig
@@ -49,7 +50,7 @@ CODE_ERROR = 0.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Candidate:
+class CurveCandidate:
     """A tone curve with its score.
 
     Attributes:
@@ -67,7 +68,7 @@ class Candidate:
     problem: Problem
 
 
-def pair_errors(problem: Problem, light: Light) -> tuple[torch.Tensor, torch.Tensor]:
+def pair_errors(problem: Problem, light: Light) -> tuple[Tensor, Tensor]:
     """Display error and weight of every ordered pair, (2 P,) each."""
     scene = problem.scene
     irradiance = light.irradiance(problem, scene.rows)
@@ -85,7 +86,7 @@ def pair_errors(problem: Problem, light: Light) -> tuple[torch.Tensor, torch.Ten
     return error.clamp(max=_ERROR_CAP).mean(1), weight
 
 
-def pair_likeness(problem: Problem, light: Light) -> torch.Tensor:
+def pair_likeness(problem: Problem, light: Light) -> Tensor:
     """How alike the albedos of every ordered pair are, 0..1, (2 P,)."""
     scene = problem.scene
     radiance = problem.rows_radiance(scene.rows)
@@ -100,17 +101,17 @@ def error_tables(models: list[tuple[Problem, Light]]) -> list[Table]:
     Args:
         models: One scene under every curve, and the light under each.
     """
-    judged = side_by_side(lambda model: pair_errors(*model), models)
-    contrast = torch.stack([weight for _, weight in judged]).mean(0)
+    scored = side_by_side(lambda model: pair_errors(*model), models)
+    contrast = torch.stack([weight for _, weight in scored]).mean(0)
     likeness = torch.stack(side_by_side(lambda model: pair_likeness(*model), models)).mean(0)
     weight = (contrast * likeness).double().numpy()
     blocks: NDArray[np.int64] = blocks_of(models[0][0].scene)
-    return [table_of(blocks, error.double().numpy(), weight) for error, _ in judged]
+    return [table_of(blocks, error.double().numpy(), weight) for error, _ in scored]
 
 
 def ranked(
     scene: Scene, curves: list[AbstractToneCurve], found: Light, config: AppearanceConfig
-) -> list[Candidate]:
+) -> list[CurveCandidate]:
     """The curves with their scores under the suns found, the chosen one first."""
 
     def solved(curve: AbstractToneCurve) -> tuple[Problem, Light]:
@@ -125,7 +126,7 @@ def ranked(
     else:
         chosen = simplest_near_best(tables, names)
     candidates = [
-        Candidate(
+        CurveCandidate(
             curve=curve,
             score=255 * mean_of(table),
             standard_error=0.0 if index == chosen else _lag(table, tables[chosen])[1],
@@ -210,3 +211,32 @@ def _lag(table: Table, other: Table) -> tuple[float, float]:
     """By how many codes the first error is the greater, and the standard error of that."""
     error = float(np.hypot(CODE_ERROR, 255 * difference_error(table, other)))
     return 255 * (mean_of(table) - mean_of(other)), error
+
+
+def fits_alike(chosen: CurveCandidate, other: CurveCandidate) -> bool:
+    """Whether the photographs do not tell another curve from the chosen one."""
+    return other.score - chosen.score <= SIMPLER_MARGIN * other.standard_error
+
+
+def albedo_apart(chosen: CurveCandidate, other: CurveCandidate) -> float | None:
+    """PSNR in dB of the albedo under one curve against that under another, one scale a channel.
+
+    Both are those of the samples that take part in the light solve, as far as neither is clipped,
+    and under the light that was found with the curve; None where there are no such samples.
+    """
+    (first, is_whole), (second, is_whole_too) = _albedo(chosen), _albedo(other)
+    whole = is_whole & is_whole_too
+    if not whole.any():
+        return None
+    first, second = first[whole], second[whole]
+    scale = (first * second).sum(0) / (second * second).sum(0).clamp(min=1e-12)
+    squared = float(((first - scale * second) ** 2).mean())
+    return float(-10 * np.log10(max(squared, 1e-10)))
+
+
+def _albedo(candidate: CurveCandidate) -> tuple[Tensor, Tensor]:
+    """Albedo (U, 3), at most 1, and where no channel is clipped, (U,)."""
+    problem, rows = candidate.problem, candidate.problem.scene.rows
+    radiance = problem.rows_radiance(rows)
+    albedo = log_ratio(radiance.linear, candidate.light.irradiance(problem, rows)).exp()
+    return albedo.clamp(max=1.0), ~radiance.clipped.any(1)

@@ -14,7 +14,7 @@ from torch import Tensor
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Told:
+class LightPrior:
     """Of the mean irradiance that sky and suns send to the samples that take part.
 
     Attributes:
@@ -49,4 +49,4 @@ class Told:
         return self.level - sent.mean()
 
 
-NOTHING_TOLD = Told()
+NO_PRIOR = LightPrior()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The one proof by which anything enters the model that plain paint in plain light does not need.
+"""The held-out test by which anything enters the model beside diffuse material in plain light.
 
 Some of the training views take no part in the fit of a candidate, or each view's part in what is
 predicted of it is left out. A candidate is proven where it predicts photographs so better than the
@@ -26,7 +26,7 @@ EVERY = 5  # one view in so many takes no part in a fit
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Proof:
+class HeldOutTest:
     """By how much a candidate predicts photographs better that it was not fitted to.
 
     Attributes:
@@ -42,12 +42,12 @@ class Proof:
     error: float
 
     @property
-    def is_given(self) -> bool:
+    def is_passed(self) -> bool:
         """Whether the candidate enters the model."""
         return self.gain > self.error
 
     @property
-    def is_open(self) -> bool:
+    def is_not_worse(self) -> bool:
         """Whether the contrary is not proven."""
         return self.gain > -self.error
 
@@ -62,7 +62,7 @@ class Proof:
         )
 
     @classmethod
-    def of(cls, plain: Floats, rich: Floats, groupings: tuple[Rows, ...]) -> Proof:
+    def of(cls, plain: Floats, rich: Floats, groupings: tuple[Rows, ...]) -> HeldOutTest:
         """From errors of both models at the same observations.
 
         Args:

@@ -6,12 +6,12 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
-BY_ALL, BY_PAINT = "all", "known paint"
-"""Names of the last rows: all evidence together, and the paint that the user knows, if any."""
+BY_ALL, BY_KNOWN_ALBEDO = "all", "known paint"
+"""Names of the last rows: all evidence together, and the albedo that the user knows, if any."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Witness:
+class Estimate:
     """One row of the report's table of evidence.
 
     Attributes:
