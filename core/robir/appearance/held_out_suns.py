@@ -1,12 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether photographs disprove the suns that were found in them.
+"""Whether photographs speak against the suns that were found in them.
 
-A sun is searched among thousands of directions by the shadows it would cast, and a surface that is
-a percent off casts enough of its own for one of them to fit. So the light is solved once more by
-the sky alone, and two witnesses are asked which is nearer the truth: views, predicted from others,
-which know of highlights and nothing of shadows; and pairs of samples across the suns' shadows,
-whose albedos have no step in common if the shadows are there. What both say is added up as
-Stouffer's sum of independent tests (Stouffer et al. 1949, "The American Soldier" I).
+A surface that is a percent off casts shadows of its own, and one of thousands of directions fits
+those. So the light is solved once more by the sky alone. Two tests compare both: views predicted
+from others, and albedo across the suns' shadows. Their standard errors are added as Stouffer's sum
+of independent tests (Stouffer et al. 1949, "The American Soldier" I).
 """
 
 from __future__ import annotations
@@ -47,11 +45,7 @@ def with_tested_suns(
 ) -> Solution:
     """The solution, or that under the sky alone where photographs speak against its suns.
 
-    Args:
-        tone: Curves, the taken one first.
-        solution: Light and material under that, with suns.
-        sky: Light under that without any.
-        pipeline: Of the stage's steps.
+    `sky` is the light under the first curve of `tone` without suns.
     """
     number, config = len(solution.light.axes), solution.config
     by_all = refit(solution.matte, sky, solution.prior, config)
@@ -76,18 +70,11 @@ def with_tested_suns(
 
 
 def lead_across_shadows(plain: Solution, rich: Solution) -> float:
-    """By how many standard errors the second model evens albedo across its suns' shadows.
+    """Standard errors by which the second model, with suns, evens albedo across their shadows.
 
-    Where a shadow is real and not known, what lies in it is darker than what is lit, by a step that
-    all pairs of one material have in common. The steps that both models leave are compared with
-    their errors: a likelihood ratio of normal variables.
-
-    Args:
-        plain: Light and material without the suns.
-        rich: With them.
-
-    Returns:
-        Positive for the second; 0 where its suns cast no shadow.
+    Across a real shadow that a model does not know, all pairs of one material have a common step.
+    The steps that both models leave are compared with their errors: a likelihood ratio of normal
+    variables. 0 where the suns cast no shadow.
     """
     problem, rows = rich.problem, rich.problem.scene.rows
     parts = Sunlight.of(problem, rich.light.axes).across_shadows()
@@ -122,7 +109,7 @@ def compared(plain: Solution, rich: Solution) -> HeldOutTest:
 def prediction_errors(model: Solution, rows: NDArray[np.int64]) -> tuple[Reals, NDArray[np.int64]]:
     """Squared errors (M,) of views of samples (U,), predicted from others, and these views (M,).
 
-    All is paint here, also what is metal: proven or not, it is the same in both models.
+    Metal counts as dielectric here: it is the same in both models.
     """
     trial = MaterialTrial.of(model.problem, model.light, rows)
     chosen = trial.rays_of(np.ones(len(rows), bool))

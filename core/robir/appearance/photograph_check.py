@@ -1,14 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The photographs have the last word: no part of the asset may show them worse than their mean.
+"""The last check: no part of the asset may show photographs worse than their plain mean does.
 
-The plain mean of all photographs of a point knows no light, no metal and no shadow. Where the whole
-model repeats the photographs of a block of the surface worse than that mean does, by more than
-chance, something in it is wrong there, whatever its proofs said of the surface as a whole. So the
-part that can be at fault is taken back on that block, the block's texture is read again, and what
-shows the photographs better stays. What is left after that is reported.
-
-Only a loss against the mean takes anything back. A gain proves nothing: a light of the wrong colour
-explains photographs well and turns the albedo brown.
+That mean knows no light, metal or shadow. Where the model is worse on a block of the surface, by
+more than chance, metal, specular layer and smoothing are reverted there in turn, and what shows the
+photographs better stays. A gain over the mean proves nothing: a light of the wrong colour explains
+photographs well and turns the albedo brown.
 """
 
 from __future__ import annotations
@@ -85,8 +81,8 @@ class Loss:
     """How the blocks of a surface are shown, against the mean of the photographs.
 
     Attributes:
-        ours: (B,) mean squared display error of the asset, codes in 0..1; NaN where too few
-            photographs show the block.
+        ours: (B,) mean squared display error of the asset, 0..1; NaN where too few photographs show
+            the block.
         mean: (B,) the same of the photographs' mean.
         error: (B,) standard error of the difference, over photographs.
     """
@@ -109,13 +105,13 @@ class Loss:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CheckResult:
-    """What the photographs took back, and what they still object to.
+    """What was reverted, and what is still worse than the mean.
 
     Attributes:
         asset: What is left.
-        taken_back: Share of the blocks on which each part was taken back.
-        worst: Largest loss of a block that is more than chance, dB; 0 without one.
-        unexplained: Share of the blocks that are worse than the mean by more than a person sees.
+        taken_back: Share of the blocks on which each part was reverted.
+        worst: Largest significant loss of a block, dB; 0 without one.
+        unexplained: Share of the blocks that are visibly worse than the mean.
     """
 
     asset: Asset
@@ -147,7 +143,7 @@ class CheckResult:
 
 
 class PhotographCheck:
-    """The photographs, and the blocks that they judge."""
+    """The photographs, and the blocks of the surface on which they are compared."""
 
     def __init__(
         self,
@@ -156,14 +152,7 @@ class PhotographCheck:
         views: tuple[View, ...],
         tracer: EmbreeTracer,
     ) -> None:
-        """Read the photographs once.
-
-        Args:
-            problem: Scene under the chosen tone curve.
-            texels: Points of the atlas.
-            views: Photographs that take part, a pixel about as large as a texel.
-            tracer: Of the mesh.
-        """
+        """Read photographs, whose pixels are about as large as texels, once."""
         self._problem = problem
         places = _places(texels.position, texels.normal)
         some = np.linspace(0, len(places) - 1, min(_NUM_TEXELS, len(places))).astype(np.int64)
@@ -243,16 +232,9 @@ def check_asset(
     read: Callable[[SpecularMaterial], TexelAlbedo],
     texels: Texels,
 ) -> CheckResult:
-    """Take back what the photographs object to, block by block.
+    """Revert, block by block, what shows the photographs worse than their mean.
 
-    Args:
-        check: The photographs.
-        asset: What they judge.
-        read: Reads the texels again under another specular material.
-        texels: Points of the atlas.
-
-    Returns:
-        The asset that they leave.
+    `read` reads the texels again under another specular material.
     """
     surfels = asset.problem.scene.transport.surfels
     of_texel = check.blocks(texels.position, texels.normal)

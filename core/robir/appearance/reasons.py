@@ -20,13 +20,7 @@ GREY, BY_ALL, BY_KNOWN_ALBEDO = (
 
 
 def light_choices(tone: ToneChoice, light: Light, seconds: dict[str, float]) -> tuple[Choice, ...]:
-    """On the tone curve and the light.
-
-    Args:
-        tone: The curves that were compared.
-        light: The solved light.
-        seconds: Processor time by task: "tone_curve", "light".
-    """
+    """On the tone curve and the light; `seconds` is processor time by "tone_curve", "light"."""
     candidates, evidence = tone.candidates, tone.evidence
     is_known = tone.scene.known_albedo is not None
     reason = {
@@ -90,13 +84,7 @@ def _beyond(tone: ToneChoice) -> str:
 def camera_choices(
     gains: Gains, unlike: Collection[str], seconds: dict[str, float]
 ) -> tuple[Choice, ...]:
-    """On exposures, light and corners of a camera's photographs; no rendering is asked for them.
-
-    Args:
-        gains: What was found.
-        unlike: Photographs under another light than most.
-        seconds: Processor time by task: "exposure".
-    """
+    """On exposures, light and corners of photographs; `seconds` is processor time by "exposure"."""
     alike, apart = "one for all", "each photograph its own"
     stops = gains.falloff.corner_stops
     even, darker = "as bright as the middle", f"{stops:.2f} stops darker than the middle"

@@ -34,12 +34,7 @@ class AtlasLookup:
     """Texel values at points of the mesh."""
 
     def __init__(self, mesh: Mesh, inside: NDArray[np.bool_]) -> None:
-        """Number the texels of the atlas.
-
-        Args:
-            mesh: Unwrapped mesh.
-            inside: (T, T) bool, texels that belong to a chart, row 0 at v = 1.
-        """
+        """Number the texels `inside` (T, T) charts of an unwrapped mesh, row 0 at v = 1."""
         self._mesh = mesh
         self._side = len(inside) // mesh.cells  # of a tile; neighbours are looked for in it only
         self._number = np.full(inside.shape, -1, np.int64)
@@ -144,8 +139,8 @@ class RenderedView:
 
     Attributes:
         image: (H, W, 3) uint8, display codes.
-        diffuse: (H, W, 3) uint8, the same of the texture alone: every point is matt and sends its
-            albedo times the irradiance over pi, also where the material is metal or glossy.
+        diffuse: (H, W, 3) uint8, the same of the matt texture: albedo times irradiance over pi,
+            also where the material is metal or glossy.
         alpha: (H, W) uint8, how much of each pixel the asset covers, in 255ths.
     """
 
@@ -161,18 +156,7 @@ def render_views(
     views: Sequence[View],
     surface: TexturedSurface,
 ) -> Iterator[RenderedView]:
-    """Render views with the recovered asset, light and tone curve.
-
-    Args:
-        problem: Scene under the chosen tone curve.
-        light: Solved light.
-        specular: Specular material of the samples.
-        views: Cameras and masks; only object pixels are rendered.
-        surface: Surface with its texture.
-
-    Yields:
-        What each view shows.
-    """
+    """Render the object's pixels of views with the recovered asset, light and tone curve."""
     *_, values = surface
     largest = max((view.mask.size for view in views), default=1)
     together = max(1, MOST_POINTS // (_PIXEL_RAYS**2 * largest))
@@ -197,10 +181,9 @@ def _radiance(
     seen: list[_ViewPoints],
     values: TexelAlbedo,
 ) -> tuple[Floats, Floats]:
-    """Radiance (N, 3), linear Rec.709, that the points of all views send to their cameras.
+    """Radiance (N, 3), linear Rec.709, of the points of all views, and of their matt texture alone.
 
-    The second is that of the matt texture alone, see `RenderedView.diffuse`. Views share most of
-    the surface, and what arrives at it, the costly part, is found once.
+    Views share most of the surface, so what arrives at it, the costly part, is found once.
     """
     points = Texels(
         position=np.concatenate([one.points.position for one in seen]),

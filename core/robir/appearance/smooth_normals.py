@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Normals of a surface from photographs, freed of its grain.
 
-A surface from photographs is right to a pixel, but its normals are off by what a pixel is over the
-distance of its vertices, and reflections double that. So normals, not places, are averaged over
-their surroundings; those that face elsewhere count little, so that edges stay (bilateral filtering
-of normals, Jones et al. 2003 and Zheng et al. 2011). The reflected sky of four real captures is
-predicted better for it at parts of the surface that took no part in its fit.
+Such a surface is right to a pixel, but its normals are off by a pixel over the distance of its
+vertices, and reflections double that. So normals are averaged over their surroundings, and those
+that face elsewhere count little (bilateral filtering of normals, Jones et al. 2003 and Zheng et al.
+2011).
 """
 
 from __future__ import annotations
@@ -47,13 +46,7 @@ class LitSurface:
 
 
 def smoothed(position: Floats, normal: Floats, surfels: Surfels) -> Floats:
-    """Normals (N, 3) averaged over the samples about them.
-
-    Args:
-        position: (N, 3), unit frame.
-        normal: (N, 3) unit, by which edges are told.
-        surfels: Even samples of the surface.
-    """
+    """Normals (N, 3), at positions (N, 3), averaged over the samples about them."""
     tree = cKDTree(surfels.position)
     known = np.concatenate([surfels.normal, np.zeros((1, 3), np.float32)])
     result = np.empty_like(normal)

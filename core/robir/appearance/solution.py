@@ -37,12 +37,12 @@ class Solution:
         problem: The scene under the chosen tone curve, highlights and all.
         matte: The same without the highlights that are known.
         light: The light so far.
-        specular: Specular material so far; None before it was looked for.
-        prior: What evidence tells of the light as a whole so far.
+        specular: Specular material so far; None before it was estimated.
+        prior: Level and hue of the light as a whole, as far as evidence gives them.
         config: Sizes.
         seed: Of sub-samples and clusters.
         choices: What was chosen, for the report.
-        estimates: What evidence tells of the light, for the report.
+        estimates: What evidence says of the light, for the report.
     """
 
     problem: Problem
@@ -71,18 +71,7 @@ class Solution:
 def solve(
     problem: Problem, light: Light, config: AppearanceConfig, seed: int, pipeline: Pipeline
 ) -> Solution:
-    """Carry the steps out.
-
-    Args:
-        problem: The scene under the chosen tone curve.
-        light: Its first light.
-        config: Sizes.
-        seed: Of sub-samples and clusters.
-        pipeline: Of the stage's steps.
-
-    Returns:
-        What is known at the end, the specular layer included.
-    """
+    """Light and material, all steps run, from a first light under the chosen tone curve."""
     start = Solution(problem=problem, matte=problem, light=light, config=config, seed=seed)
     return pipeline.run(SOLUTION, start)
 

@@ -53,14 +53,7 @@ _HELD_OUT_SIDE = 400  # longer side of the held-out views at most (pixels)
 
 
 def run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
-    """Choose the tone curve, solve light and materials, bake the textures.
-
-    Args:
-        context: Paths and settings.
-
-    Returns:
-        Figures for the manifest.
-    """
+    """Choose the tone curve, solve light and materials, bake the textures; figures of it."""
     config, reporter, folder = context.config, context.reporter, context.paths.stage("appearance")
     check_left_out(STEPS, config.without, "appearance.without")
     pipeline = Pipeline(config.without)
@@ -167,10 +160,7 @@ def _direction(vector: tuple[float, ...]) -> np.ndarray | None:
 def _surface(
     context: StageContext[AppearanceConfig],
 ) -> tuple[Mesh, EmbreeTracer, EmbreeTracer]:
-    """The mesh that textures belong to, the tracer of that on which light is solved, and its own.
-
-    What a ray meets has its texture by its face: those of a copy with fewer are others.
-    """
+    """The textured mesh, the tracer of the mesh for light, and its own tracer."""
     folder = context.paths.stage("geometry")
     mesh, solid = Mesh.load(folder / "mesh.npz"), mesh_for_light(folder)
     tracer = EmbreeTracer(solid.vertices, solid.faces)

@@ -56,7 +56,7 @@ class Texture:
         atlas: Face (N,) and barycentric coordinates (N, 3) of the texels that were solved.
         values: Of these texels.
         pipeline: Of the stage's steps, for what is read again.
-        checked: What photographs took back; None before they were heard.
+        checked: Result of the photograph check; None before it.
     """
 
     problem: Problem
@@ -84,13 +84,8 @@ def textured(
 ) -> Texture:
     """Texels of the atlas at the side that photographs resolve.
 
-    Args:
-        solved: Scene under the chosen tone curve, its light, and specular material.
-        surface: Unwrapped mesh, unit frame, the tracer of that which light is solved on, its own.
-        capture: Photographs that take part. Those under another light than most must not: by their
-            shade the texture of all would be darker than the others are.
-        config: Sizes.
-        pipeline: Of the stage's steps.
+    Of an unwrapped mesh, unit frame, with the tracer of the mesh for light and its own. `capture`
+    must lack photographs under another light: their shade would darken the texture of all.
     """
     (problem, light, specular), (mesh, tracer, own_tracer) = solved, surface
     side = solved_side(config, mesh.cells)

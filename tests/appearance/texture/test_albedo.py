@@ -16,7 +16,7 @@ from robir.appearance.light.problem import make_problem, make_scene
 from robir.appearance.light.solver import Light
 from robir.appearance.material.specular import SpecularMaterial
 from robir.appearance.texture.albedo import _STEP, texel_albedo
-from robir.appearance.texture.residual_shading import evened, with_normals
+from robir.appearance.texture.residual_shading import smoothed_albedo, with_normals
 from robir.appearance.texture.shadow_edges import Reference, fill_clipped, solve_shadow_edges
 from robir.appearance.texture.texels import NORMAL_SCALE, Texels
 from robir.geometry.mesh.tracer import EmbreeTracer
@@ -124,7 +124,7 @@ def test_evening_removes_errors_of_the_light_and_keeps_texture_and_edges():
     seen[unknown] = 0.9
     disagreement = np.where(unknown, 1.0, 0.05).astype(np.float32)
     points = with_normals(texels.position, texels.normal, NORMAL_SCALE)
-    left = np.log(evened(seen, disagreement, points, _STEP) / paint).mean(1)
+    left = np.log(smoothed_albedo(seen, disagreement, points, _STEP) / paint).mean(1)
     inner = (np.abs(y) > 0.05) & (np.maximum(np.abs(x), np.abs(y)) < 0.5) & ~unknown
     basis = np.stack([bumps, stripes, np.ones_like(x)], axis=1)[inner]
     (kept_bumps, kept_stripes, offset), *_ = np.linalg.lstsq(basis, left[inner], rcond=None)
@@ -146,7 +146,7 @@ def test_paint_that_is_hardly_known_becomes_what_surrounds_it(doubt, share_left)
     dark = np.hypot(position[:, 0], position[:, 1]) < 0.12
     albedo = np.tile(np.float32([0.3, 0.2, 0.1]), (6000, 1))
     albedo[dark] *= 0.4
-    result = evened(albedo, np.where(dark, doubt, 0.05).astype(np.float32), points, _STEP)
+    result = smoothed_albedo(albedo, np.where(dark, doubt, 0.05).astype(np.float32), points, _STEP)
     left = np.median(np.log(result[dark] / [0.3, 0.2, 0.1])) / np.log(0.4)
     assert left < share_left if doubt > 0.5 else left > share_left
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What one kind of evidence tells of the light."""
+"""What one kind of evidence says of the light."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ class Estimate:
     """One row of the report's table of evidence.
 
     Attributes:
-        of: What it tells of: "level", mean over the channels of the log of the mean irradiance; or
-            "hue", log of its red over its blue.
-        by: What tells it.
-        value: What it tells, log units.
-        deviation: One standard deviation of that.
+        of: "level", mean over the channels of the log mean irradiance; or "hue", log of its red
+            over its blue.
+        by: The evidence.
+        value: Log units.
+        deviation: One standard deviation.
     """
 
     of: str

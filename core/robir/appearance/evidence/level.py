@@ -1,15 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How bright the light as a whole is, by what is common.
+"""How bright the light as a whole is, by two priors.
 
-Photographs of diffuse surfaces know light and albedo by their product alone. Two priors tell the
-light's part of it, and their log likelihoods are added:
-
-- Paints: how bright they commonly are.
-- Exposure: photographs are exposed for the light that there is, as by an incident-light meter, so
-  that white paint is about as bright as the brightest that a photograph shows.
-
-Highlights could tell it too, as a specular layer returns 4 % of a light however bright its paint
-is; but where they are hangs on the mesh, and what they told was further off than the priors.
+Photographs of diffuse surfaces know light and albedo by their product alone. The log likelihoods of
+common albedos and of common exposures are added: white is about as bright as the brightest that a
+photograph shows, as by an incident-light meter.
 """
 
 from __future__ import annotations
@@ -47,17 +41,10 @@ def log_factors() -> Reals:
 def level_estimates(
     problem: Problem, light: Light, specular: SpecularMaterial, solved: NDArray[np.int64]
 ) -> tuple[Estimate, ...]:
-    """What sky and suns likely send, of which diffuse surfaces tell the product with albedo alone.
+    """What each prior says of the mean over channels of the log mean irradiance of sky and suns.
 
-    Args:
-        problem: Scene under a tone curve.
-        light: Its light, of which all but the brightness as a whole is taken for right.
-        specular: Specular material under it.
-        solved: Samples by which the light is solved: of what these receive the level is told.
-
-    Returns:
-        What each prior tells of the mean over the channels of the log of the mean irradiance, both
-        together last. Nothing where all is metal: paints and exposures of metal are not common.
+    Of a light right but for its brightness, the specular material under it, and the samples (U,)
+    that it is solved by. Both priors together come last; nothing where all is metal.
     """
     chosen = problem.radiance.seen.numpy() & specular.is_dielectric
     rows = problem.scene.rows[chosen[problem.scene.rows]]
@@ -81,11 +68,7 @@ def _estimate(by: str, log_likelihood: Reals, sent: float) -> Estimate:
 
 
 def albedo_prior(albedo: NDArray[np.floating]) -> Reals:
-    """Log of how common the paints are, (F,), were the light so much brighter.
-
-    Args:
-        albedo: (U, 3) log albedo by the light as it is.
-    """
+    """Log likelihood (F,) of log albedos (U, 3), were the light brighter by each factor."""
     factors = log_factors()
     mean = (albedo.mean() - factors - _LOG_ALBEDO) / _LOG_ALBEDO_SPREAD
     brightest = np.quantile(albedo.max(1), BRIGHTEST_QUANTILE) - factors
@@ -93,10 +76,6 @@ def albedo_prior(albedo: NDArray[np.floating]) -> Reals:
 
 
 def exposure_prior(sent: float) -> Reals:
-    """Log of how common it is to expose so, (F,), were the light so much brighter.
-
-    Args:
-        sent: Mean log irradiance by the light as it is.
-    """
+    """Log likelihood (F,) of a mean log irradiance, were the light brighter by each factor."""
     white = sent - np.log(np.pi) + log_factors()
     return -0.5 * ((white - _EXPOSURE) / _EXPOSURE_SPREAD) ** 2

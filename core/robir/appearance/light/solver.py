@@ -82,18 +82,7 @@ def fit(
     iterations: int,
     start: Amplitudes | None = None,
 ) -> Light:
-    """Strengths of all lobes for fixed suns.
-
-    Args:
-        problem: Scene under a tone curve.
-        axes: (J, 3) of the sharp lobes.
-        sharpness: (J,).
-        iterations: Adam steps.
-        start: Where to begin.
-
-    Returns:
-        The light.
-    """
+    """Strengths of all lobes for fixed suns, of axes (J, 3) and sharpness (J,)."""
     transfer, sunlight = _lit_by(problem, axes, sharpness)
     amplitudes, loss = solve_amplitudes(
         problem.rows_radiance(problem.scene.rows),
@@ -117,22 +106,16 @@ def _lit_by(problem: Problem, axes: Floats, sharpness: Floats) -> tuple[Transfer
 def refit(problem: Problem, light: Light, prior: LightPrior, config: AppearanceConfig) -> Light:
     """Strengths once more, shadows deciding between sky and suns.
 
-    The neighbour loss prefers a weak sun: errors of the normals change what a sun sends, hardly
-    what a sky does. Across a shadow, at equal normals, they cancel; but on a checkered ground most
-    such pairs are of two materials. Those alike under the light that is known count, and count
-    more: alike but for the step that all pairs of one material show, or a light too weak in the sun
-    would confirm itself where bright fields in the shade pass for dark ones in the sun.
-
-    Neighbours of another hue are another material, and say nothing of its brightness.
+    The neighbour loss prefers a weak sun, as errors of normals change a sun's light and hardly a
+    sky's. Across a shadow, at equal normals, they cancel. Pairs that are alike but for their common
+    step count most there, or a weak sun would confirm itself on a checkered ground. Neighbours of
+    another hue say nothing of each other's brightness.
 
     Args:
         problem: Scene under a tone curve, highlights removed if known.
         light: Solved light.
-        prior: What evidence tells of it as a whole.
+        prior: Of the light as a whole.
         config: Sizes.
-
-    Returns:
-        The light.
     """
     radiance = problem.rows_radiance(problem.scene.rows)
     transfer, sunlight = _lit_by(problem, light.axes, light.sharpness)

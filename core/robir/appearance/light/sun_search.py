@@ -55,15 +55,7 @@ _POLISH_REACH = 0.03  # radius of the first ring of the search then (radians)
 def find_suns(problem: Problem, config: AppearanceConfig, seed: int) -> Light:
     """Add sharp lobes one at a time while each explains shadows that nothing else does.
 
-    All is judged by pairs that face alike.
-
-    Args:
-        problem: Scene under a tone curve.
-        config: Sizes.
-        seed: Of the sub-samples.
-
-    Returns:
-        The light with its suns, strengths from short solves.
+    All is compared by pairs that face alike; strengths are from short solves.
     """
     scene = problem.scene
     normal = scene.transport.surfels.normal[scene.rows]
@@ -93,15 +85,7 @@ def find_suns(problem: Problem, config: AppearanceConfig, seed: int) -> Light:
 def _searched(
     problem: Problem, light: Light, config: AppearanceConfig, index: int, seed: int
 ) -> list[SunCandidate]:
-    """Where the next sun may be: about the direction that the user tells, or all that a scan finds.
-
-    Args:
-        problem: Scene under a tone curve.
-        light: With the suns that are known.
-        config: Sizes.
-        index: How many these are.
-        seed: Of the sub-samples.
-    """
+    """Where the next sun may be: about the user's direction, or all that a scan finds."""
     rng, known_sun = np.random.default_rng(seed + index), problem.scene.sun
     base = None if index == 0 else _direct(problem, light)
     coarse = _sub_sampled(problem, base, _SCAN_SAMPLES, rng)
@@ -129,8 +113,7 @@ def _promising(candidates: list[SunCandidate], *, is_first: bool) -> list[SunCan
 def _casts_shadow(problem: Problem, before: Light, after: Light) -> bool:
     """Whether the photographs show the shadow of the sun that was added last.
 
-    A further lobe lowers the loss wherever the mesh is wrong; only one whose own shadow agrees
-    with the photographs is a light.
+    A further lobe lowers the loss wherever the mesh is wrong; its own shadow tells a light.
     """
     (pairs,) = Sunlight.of(problem, after.axes[-1:]).across_shadows()
     if not len(pairs.first):
@@ -169,17 +152,7 @@ def _best_addition(
 
 
 def polish(problem: Problem, light: Light, config: AppearanceConfig, seed: int) -> Light:
-    """Directions and sizes of the suns with the whole light known, then the strengths for these.
-
-    Args:
-        problem: Scene under a tone curve.
-        light: Light from `find_suns`.
-        config: Sizes.
-        seed: Of the sub-samples.
-
-    Returns:
-        The light, for `refit`.
-    """
+    """Directions and sizes of the suns with the whole light known, then the strengths for these."""
     axes, sharpness = light.axes.copy(), light.sharpness.copy()
     seen = np.flatnonzero(problem.radiance.seen)
     for index in range(len(axes)):

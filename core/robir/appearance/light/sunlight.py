@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where suns shine for sure: beside shadows, and where no error of the mesh turns them."""
+"""Samples that are certainly lit by a sun or shaded from it, whatever the mesh errs by."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class Sunlight:
         return [shadow_pairs(self.position, self.normal, *sides) for sides in columns]
 
     def is_certain(self) -> Tensor:
-        """Bool (U,), whether an error of the mesh would neither give nor take a sun.
+        """Bool (U,), no error of the mesh gives or takes a sun.
 
         All, should that leave fewer than half.
         """
