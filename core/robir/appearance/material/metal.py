@@ -2,11 +2,9 @@
 """Which samples are metal, and the base colour and roughness of each metal part.
 
 Polished metal shows its surroundings, displaced by every error of the mesh, so one sample's views
-say little. Three figures of a neighbourhood tell metal: how badly paint explains its views, how
-much better metal does, and whether that is as bright as metals are. How much each of them tells was
-measured on captures whose truth is known (logistic regression), and the log odds of many
-neighbourhoods are averaged over the surface. How bright the light is nobody knows well where most
-of a scene is metal, so that how dark it reads forbids nothing by itself.
+say little. Three figures of a neighbourhood are weighed: how badly a dielectric explains its views,
+how much better metal does, and whether it is as bright as metals are (logistic regression on
+captures of known truth). The log odds of many neighbourhoods are averaged over the surface.
 """
 
 from __future__ import annotations
@@ -100,14 +98,12 @@ def find_metal(
     trial: MaterialTrial,
     dielectric: Floats,
 ) -> MetalParts:
-    """Parts of samples (U,) that are likely metal.
-
-    Some samples are judged, and the others go by those about them.
+    """Parts of samples (U,) that are likely metal; some are classified and speak for others.
 
     Args:
         solved: Scene under a tone curve, and its light.
         rows: The samples.
-        alike: (U, 9) points by which they are judged together, and (U, 3) log hues.
+        alike: (U, 9) points by which they are classified together, and (U, 3) log hues.
         trial: The samples in all views.
         dielectric: (U, L) mean display error over each one's views at every roughness.
     """
@@ -134,20 +130,10 @@ def near(points: Floats, places: Floats, count: int) -> Rows:
 
 
 def metal_errors(problem: Problem, light: Light, rows: Rows) -> tuple[Floats, Floats]:
-    """Mean display error of samples as metal, each with its own base colour and tilt of its normal.
+    """Mean display error (U, L) of samples as metal of any base colour, and of a bright one.
 
-    What metal shows moves by twice the normal's error, so each sample's normal may be as far off as
-    a mesh's usually are. A dark metal explains glossy dark paint, and whatever a wrong mesh makes
-    of paint, better than paint does: so the base colour is tried as it fits best, and no darker
-    than that of any metal.
-
-    Args:
-        problem: Scene under a tone curve.
-        light: Its light.
-        rows: (U,) samples.
-
-    Returns:
-        (U, L) each at the roughnesses of metal, of any base colour and of bright ones.
+    Each with its own base colour and tilt of its normal, as what metal shows moves by twice the
+    normal's error. A dark metal explains dark glossy paint, so a bright base is tried as well.
     """
     levels = LEVELS[:_NUM_LEVELS]
     reflections, rays, seen, valid = looked_at(problem, light, rows)
@@ -176,12 +162,9 @@ def metal_errors(problem: Problem, light: Light, rows: Rows) -> tuple[Floats, Fl
 def metal_odds(
     dielectric: Floats, metal: tuple[Floats, Floats], around: Rows
 ) -> NDArray[np.float64]:
-    """Log odds (U,) that neighbourhoods are of metal.
+    """Log odds (U,) that neighbourhoods `around` (U, C) are of metal.
 
-    Args:
-        dielectric: (U, L) mean display error over each sample's views as paint at every roughness.
-        metal: The same as metal, from `metal_errors`.
-        around: (U, C) samples that judge together with each.
+    By mean display errors (U, L) as dielectric, and as metal from `metal_errors`.
     """
     matched, free, bright = (
         errors[around].mean(1).min(1).clip(1e-6) for errors in (dielectric, *metal)
@@ -201,18 +184,13 @@ def metal_parts(
     observed: tuple[Reflections, ViewRays, Tensor],
     errors: Floats,
 ) -> MetalParts:
-    """Gather metal samples into parts and read what each is made of.
-
-    A part reaches as far as its samples may be metal and are of one hue.
+    """Gather metal samples into parts of one hue and read what each is made of.
 
     Args:
         odds: (U,) log odds, as averaged over each sample's surroundings.
         place: Positions (U, 3), unit frame, log hues (U, 3) about them, and their spacing.
         observed: What the samples reflect, their rays (M), and the radiance (M, 3) that is seen.
         errors: (U, L) mean display error of each sample as metal.
-
-    Returns:
-        The parts.
     """
     levels = LEVELS[:_NUM_LEVELS]
     rows = np.flatnonzero(odds > _CANDIDATE_ODDS)
@@ -245,18 +223,11 @@ def metal_parts(
 
 
 def base_colour_posterior(read: Reals, count: NDArray[np.int64]) -> Reals:
-    """Log base colours (P, 3) of parts, from what they read and from what metals there are.
+    """Posterior mean of the log base colours (P, 3) of parts read so by `count` (P,) samples each.
 
-    Most scenes hold one metal, so the parts of a scene are drawn from what all of them read, and
-    that from what metals there are (random effects, Laird and Ware 1982, "Random-effects models for
-    longitudinal data").
-
-    Args:
-        read: (P, 3) logarithms of what the parts read.
-        count: (P,) samples that tell each.
-
-    Returns:
-        Posterior means, none above 0.
+    The parts of a scene are drawn from what all of them read, and that from what metals there are
+    (random effects, Laird and Ware 1982, "Random-effects models for longitudinal data"). None above
+    0.
     """
     if not len(read):
         return read
@@ -273,16 +244,10 @@ def base_colour_posterior(read: Reals, count: NDArray[np.int64]) -> Reals:
 
 
 def _posterior(read: Reals, prior: tuple[Reals, Reals], chance: Reals | float) -> Reals:
-    """Posterior means (P, 3) of brightness and hue that are read so.
+    """Posterior means (P, 3) of brightness and hue read so, of a prior's mean and deviation (3,).
 
-    Some readings are wrong altogether: the error is a mixture, so that they are trusted the less
-    the farther they are from what was expected (Box and Tiao 1968, "A Bayesian approach to some
-    outlier problems").
-
-    Args:
-        read: (P, 3) brightness, blueness, greenness.
-        prior: Mean and deviation (3,) of the true ones.
-        chance: Errors of all readings, (P, 1), in those of the configuration.
+    The error is a mixture, as some readings are wrong altogether (Box and Tiao 1968, "A Bayesian
+    approach to some outlier problems"); `chance` (P, 1) scales it.
     """
     known, spread = prior
     off = read - known

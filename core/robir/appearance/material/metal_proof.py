@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which of the parts that may be metal are metal: those that this predicts better than paint."""
+"""Held-out test of parts that may be metal."""
 
 from __future__ import annotations
 
@@ -17,19 +17,11 @@ Floats = NDArray[np.float32]
 def tested_parts(
     parts: MetalParts, trial: MaterialTrial, dielectric: Floats
 ) -> tuple[MetalParts, Choice]:
-    """The parts that are metal unless photographs that had no part in their fit prove the contrary.
+    """The parts (numbered anew) that held-out photographs do not refute as metal, and the choice.
 
-    Each is compared with a dielectric, matt or of the roughness that fits it best, whichever is
-    better. What metal mirrors is displaced by normals that are a few degrees off, and squared
-    errors count that twice, so that true metal is hardly ever proven.
-
-    Args:
-        parts: As read from the photographs.
-        trial: The U samples.
-        dielectric: (U, L) display error of each sample as paint at every roughness, in those.
-
-    Returns:
-        The proven parts, numbered anew, and what was compared, for the report.
+    Each is compared with a dielectric, matt or of its best roughness. As displaced reflections
+    count twice in squared errors, true metal is hardly ever proven. `dielectric` (U, L) is the
+    display error of each sample at every roughness.
     """
     count = len(trial.rays.sample)
     plain, metal, single = np.zeros(count), np.zeros(count), []

@@ -81,13 +81,7 @@ def seen_along(problem: Problem, rays: ViewRays, rows: NDArray[np.int64]) -> Obs
 def looked_at(
     problem: Problem, light: Light, rows: NDArray[np.int64]
 ) -> tuple[Reflections, ViewRays, ObservedRays, Tensor]:
-    """What samples (U,) reflect, their rays, what these show, and which views show them (U, V).
-
-    Args:
-        problem: Scene under a tone curve.
-        light: Its light.
-        rows: The samples.
-    """
+    """What samples (U,) reflect, their rays, what these show, and which views show them (U, V)."""
     transport = problem.scene.transport
     observations, directions = transport.observations, transport.visibility.directions
     rays = view_rays(transport.surfels, observations, rows, directions)
@@ -108,11 +102,8 @@ def diffuse_below(
 ) -> Tensor:
     """Diffuse radiance (M, 3) that leaves samples under their specular layer, alike in all views.
 
-    Args:
-        seen: What the rays show.
-        specular: (M, 3) what of it is reflected.
-        through: (M, 1) share of the diffuse light that the layer lets through.
-        seen_by: The rays, and (U, V) which views show the samples.
+    Of what is reflected (M, 3), the share (M, 1) let through, the rays, and (U, V) which views
+    show.
     """
     rays, valid = seen_by
     least = LEAST_DIFFUSE * seen.linear

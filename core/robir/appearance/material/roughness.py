@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How many roughnesses the paint of an object has: none, one, or one per patch of it.
+"""How many roughnesses an object's dielectrics have: none, one, or one per patch.
 
-Where highlights cannot tell, one roughness for all is no safer guess than many: most of what is
-mirrored is the ground, whose roughness says nothing of the object's. So each patch of like albedo
-and place has its own, drawn towards those like it by how little its own highlights say, see
-highlights.py. Whether there is any specular layer, and more than one roughness, is told by
-photographs that had no part in the fit, see proof.py.
+Each patch of like albedo and place has its own, drawn towards those like it by how little its own
+highlights say (highlights.py): one for all would be mostly the ground's. Whether there is a
+specular layer, and more than one roughness, is decided by held-out photographs.
 """
 
 from __future__ import annotations
@@ -70,17 +68,7 @@ def choose_roughness(
     trial: MaterialTrial,
     dielectric: NDArray[np.bool_],
 ) -> RoughnessChoice:
-    """Roughness of every patch, as many as there are.
-
-    Args:
-        highlights: Of the U samples.
-        patches: That they lie on.
-        trial: The same samples.
-        dielectric: (U,) those that are no metal, of which all is judged.
-
-    Returns:
-        The choice.
-    """
+    """Roughness of every patch, as many as held-out tests allow, by `dielectric` (U,) samples."""
     started = time.process_time()
     one, each = _fitted(highlights.of(dielectric), patches.number[dielectric], patches.features)
     kept = trial.rays_of(dielectric & (np.arange(len(dielectric)) % _STRIDE == 0))

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Roughness and metal, and the specular light that albedo must not keep.
 
-A dielectric reflects with F0 = 0.04 on top of its diffuse light; a metal has no diffuse light and
-reflects with its base colour. Both are predicted for every view at several roughnesses. What is
-metal is judged by the neighbourhood of each sample, near it and of like colour: its views differ
-more than any dielectric's may. Roughness is judged over patches of samples alike in albedo and
-place, see roughness.py: one of them sees a highlight in a few views at most.
+A dielectric reflects with F0 = 0.04 on top of its diffuse light; a metal has none and reflects with
+its base colour. Both are predicted for every view at several roughnesses. Metal is classified by
+neighbourhoods, roughness by patches alike in albedo and place, as one sample sees a highlight in
+few views (roughness.py).
 """
 
 from __future__ import annotations
@@ -73,8 +72,8 @@ class SpecularMaterial:
             scene has none.
         floor: (S, 3) float32, specular radiance in the mean of the views.
         kept: (S, 1) float32, share of the diffuse light that the specular layer lets through there.
-        has_highlights: Whether anything but metal has a specular layer.
-        table: One dictionary per patch of paint and per metal part.
+        has_highlights: Whether dielectrics have a specular layer.
+        table: One dictionary per dielectric patch and per metal part.
         choices: What was chosen against what, for the report.
     """
 
@@ -88,13 +87,13 @@ class SpecularMaterial:
     choices: tuple[Choice, ...]
 
     def solved_by(self, rows: NDArray[np.int64], least_share: float) -> NDArray[np.int64]:
-        """Those of some samples by which the light is solved: paint, where there is enough."""
+        """Of some samples those that the light is solved by: dielectrics if there are enough."""
         dielectric = rows[self.is_dielectric[rows]]
         return dielectric if len(dielectric) >= least_share * len(rows) else rows
 
     @property
     def is_dielectric(self) -> NDArray[np.bool_]:
-        """(S,) bool, what is no metal."""
+        """(S,) bool."""
         return self.metallic < 0.5
 
 
@@ -105,14 +104,7 @@ def specular_towards(
     sample: NDArray[np.int64],
     view_dir: Floats,
 ) -> tuple[Floats, Floats, Floats]:
-    """Specular radiance of samples towards any direction.
-
-    Args:
-        problem: Scene under a tone curve.
-        light: Solved light.
-        specular: Specular material of the samples.
-        sample: (N,) sample of each direction.
-        view_dir: (N, 3) unit, away from the surface.
+    """Specular radiance of samples (N,) towards directions (N, 3), unit, away from the surface.
 
     Returns:
         For a dielectric (N, 3), per unit of base colour of a metal (N, 3), and the share (N, 1) of
@@ -140,9 +132,8 @@ def specular_towards(
 def _costs(looked: tuple[Reflections, ViewRays, ObservedRays, Tensor]) -> tuple[Highlights, Floats]:
     """Errors of a dielectric near highlights and elsewhere, and their mean (U, L) over all views.
 
-    Only views near a sun's mirror direction speak about the roughness of a dielectric; elsewhere a
-    rougher surface merely hides errors of the sky and of the mesh, and would always win. There the
-    sky is reflected as by the surface itself, but no sharper than `SHARPEST_SKY`.
+    Only views near a sun's mirror direction speak about roughness; elsewhere a rougher surface
+    merely hides errors of sky and mesh. There the sky is reflected no sharper than `SHARPEST_SKY`.
     """
     reflections, rays, seen, valid = looked
     sample = rays.sample
@@ -203,16 +194,9 @@ def estimate_specular(
     num_materials: int,
     seed: int,
 ) -> tuple[SpecularMaterial, Tensor]:
-    """Roughness and metal of every sample.
+    """Specular material of every sample, and the diffuse radiance (S, V, 3) of every observation.
 
-    Args:
-        problem: Scene under the chosen tone curve.
-        light: Solved light.
-        num_materials: How many patches of paint have a roughness each.
-        seed: Of the clustering.
-
-    Returns:
-        The material, and the diffuse radiance (S, V, 3) of every observation.
+    `num_materials` patches of dielectrics have a roughness each; `seed` is of the clustering.
     """
     surfels = problem.scene.transport.surfels
     seen = np.flatnonzero(problem.radiance.seen.numpy())
@@ -260,18 +244,9 @@ def with_material(
     samples: NDArray[np.bool_],
     material: tuple[Floats, Floats],
 ) -> tuple[SpecularMaterial, Tensor]:
-    """The same with another material on some samples.
+    """The same with another roughness and metal, (S,) each, on some `samples` (S,) bool.
 
-    Args:
-        problem: Scene under the chosen tone curve.
-        light: Its light.
-        specular: Specular material of all samples.
-        samples: (S,) those that change.
-        material: Roughness and metal (S,) that they take; anything elsewhere.
-
-    Returns:
-        The material, and the diffuse radiance (S, V, 3) of the samples that changed; of the others
-        it is what is seen.
+    Also the diffuse radiance (S, V, 3) of these; of the others it is what is seen.
     """
     rows = np.flatnonzero(samples & problem.radiance.seen.numpy())
     level, metal = (values[rows].astype(np.float64) for values in material)
@@ -291,13 +266,7 @@ def with_material(
 
 
 def _alike(problem: Problem, seen: NDArray[np.int64], log_albedo: Floats) -> tuple[Floats, Floats]:
-    """Points (N, 9) that lie close together where samples are judged together, and hues (N, 3).
-
-    Args:
-        problem: The scene.
-        seen: (N,) samples.
-        log_albedo: (N, 3) log albedo, as of paint.
-    """
+    """Points (N, 9), close where samples are classified together, and hues (N, 3)."""
     surfels = problem.scene.transport.surfels
     normal = _NORMAL_SCALE * surfels.normal[seen]
     points = np.concatenate([surfels.position[seen], normal, _ALBEDO_SCALE * log_albedo], axis=1)
@@ -307,12 +276,7 @@ def _alike(problem: Problem, seen: NDArray[np.int64], log_albedo: Floats) -> tup
 def _table(
     dielectrics: tuple[Reals, NDArray[np.int64]], metals: tuple[Reals, NDArray[np.int64]]
 ) -> tuple[dict[str, float], ...]:
-    """Roughness and share of the samples (N,) of each patch of paint and part of metal.
-
-    Args:
-        dielectrics: Roughness of the patches, and each sample's.
-        metals: The same of the parts, -1 where a sample is paint.
-    """
+    """Roughness and share of the samples (N,) of each patch and part (-1 if none)."""
     (patches, patch), (parts, part) = dielectrics, metals
     kinds = [(float(value), 0.0, (patch == k) & (part < 0)) for k, value in enumerate(patches)]
     kinds += [(float(value), 1.0, part == k) for k, value in enumerate(parts)]
@@ -344,10 +308,7 @@ def _apply(
     metal: NDArray[np.float64],
     has_highlights: bool,
 ) -> tuple[dict[str, Floats], Tensor]:
-    """Diffuse radiance of all observations, each sample with its own roughness.
-
-    Without highlights it is all there is; that of metal is left as it is seen.
-    """
+    """Layers of all samples, and the diffuse radiance of observations, metal's as seen."""
     (problem, light), scene = solved, solved[0].scene
     observations, surfels = scene.transport.observations, scene.transport.surfels
     num = len(surfels)

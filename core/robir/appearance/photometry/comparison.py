@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What photographs of the same points tell about how they were exposed and lit.
+"""How photographs of the same points were exposed and lit, under a plain tone curve.
 
-Whether anything is needed is judged under a plain tone curve, as any curve makes the same
-photographs brighter. Gains count by how far points of some orientations tell the same as points of
-the others: an exposure changes all alike, while specular reflection depends on where a point faces.
-A falloff towards the corners, common to all photographs, is proven by those it was not solved by.
+Gains count by how far points of some orientations give the same as points of the others: an
+exposure changes all alike, highlights do not. A falloff towards the corners is tested on held-out
+photographs.
 """
 
 from __future__ import annotations
@@ -47,7 +46,7 @@ _IMAGE_SIDE = 200  # longest side that photographs are read at (pixels)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PhotoComparison:
-    """Photographs of the same points, and what these tell about how they were lit and exposed.
+    """Photographs of the same points, and how these were lit and exposed.
 
     Attributes:
         capture: All views, the held-out ones included: those need a gain to be compared with.
@@ -78,14 +77,7 @@ class PhotoComparison:
     def of(
         cls, transport: Transport, tracer: EmbreeTracer, capture: Capture, seed: int
     ) -> PhotoComparison:
-        """Some points that enough views show, as these show them.
-
-        Args:
-            transport: Baked transport with the samples' observations.
-            tracer: Tracer of the mesh.
-            capture: All views.
-            seed: Of the choice of points.
-        """
+        """Some points, drawn by `seed`, as enough views show them."""
         surfels, seen = transport.surfels, transport.observations
         is_frontal = seen.weight > LEAST_COSINE
         usable = np.flatnonzero(is_frontal.sum(1) >= LEAST_VIEWS)
@@ -218,15 +210,10 @@ COMPARISON: tuple[Step[PhotoComparison], ...] = (
 
 
 def find_falloff(log: Array, normals: Floats, off_axis: NDArray[np.uint8]) -> Falloff:
-    """The falloff under a plain tone curve, of strength 0 where photographs do not prove it.
+    """The falloff under a plain tone curve, of strength 0 where it fails the held-out test.
 
-    Solved by the fitted views, it must let the points that these show predict the kept ones better,
-    each of those at its own exposure, and not by points of a few orientations alone.
-
-    Args:
-        log: (P, V, 3) log radiance from `comparable`.
-        normals: (P, 3) of the points.
-        off_axis: (P, V) as in `Observations.off_axis`.
+    It must let points predict held-out views better, each at its own exposure, over views and over
+    orientations. Of log radiance (P, V, 3), normals (P, 3), and `Observations.off_axis` (P, V).
     """
     is_fitted = fitted_views(log.shape[1])
     enough = np.isfinite(log[:, is_fitted, 0]).sum(1) >= LEAST_VIEWS
@@ -251,13 +238,9 @@ def find_falloff(log: Array, normals: Floats, off_axis: NDArray[np.uint8]) -> Fa
 def _kept_errors(
     log: Array, normals: Floats, dimming: Array, is_fitted: NDArray[np.bool_]
 ) -> Array:
-    """Squared display errors (M,) of what kept views show, predicted by the fitted ones.
+    """Squared display errors (M,) of what held-out views show, predicted by the fitted ones.
 
-    Args:
-        log: (P, V, 3) log radiance, NaN where a view does not show a point.
-        normals: (P, 3) of the points.
-        dimming: (P, V) log radiance against the middle of a photograph.
-        is_fitted: (V,).
+    `dimming` (P, V) is log radiance against the middle of a photograph; `is_fitted` (V,).
     """
     equalised = log - dimming[..., None]
     gains = solve_gains(equalised[:, is_fitted], normals)

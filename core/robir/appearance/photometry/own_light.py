@@ -1,16 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Photographs each in a light of its own.
 
-Where clouds pass, a photographer or the arm of a robot stands before the lamps, or the object is
-turned by hand, photographs of the same points differ by more than an exposure: what faces one way
-is brighter, what faces another darker. To first order in the normal, which holds most of what a
-light makes of a matt surface (Ramamoorthi and Hanrahan 2001),
+Where clouds pass, somebody stands before the lamps, or the object is turned by hand, what faces one
+way is brighter and another darker. To first order in the normal, which holds most of what a light
+makes of a matt surface (Ramamoorthi and Hanrahan 2001),
 
-    log linear(p, v) = point(p) + gain(v) + slope(v) . normal(p) + highlight or error,
+    log linear(p, v) = point(p) + gain(v) + slope(v) . normal(p) + highlight or error
 
-solved by robust least squares. Sheen under one light does the like, since it changes with the view
-by orientation too, and a rough one explains as much; but it is one function of the mirrored
-direction for all photographs. Slopes are taken only where they beat that, too.
+is solved by robust least squares. A specular layer under one light does the like, but is one
+function of the mirrored direction; slopes must also predict better than that.
 """
 
 from __future__ import annotations
@@ -43,16 +41,9 @@ _MOST_LEFT = 0.6
 
 
 def solve_slopes(log: Array, normals: Floats) -> Array:
-    """By how much each photograph is brighter on what faces one way than on what faces another.
+    """Log radiance (V, 3) per unit of the normal, alike in all channels, of mean 0 over the views.
 
-    Args:
-        log: (P, V, 3) natural logarithms of radiance, NaN where a view does not show a point; every
-            point is shown by some view.
-        normals: (P, 3) unit.
-
-    Returns:
-        (V, 3) log radiance per unit of the normal, alike in all channels, of mean 0 over the views:
-        what all have in common is a property of the points.
+    Arguments as for `solve_gains`; what all views have in common is a property of the points.
     """
     known = np.isfinite(log[..., 0])
     values = np.nan_to_num(log).mean(2)
@@ -68,13 +59,8 @@ def solve_slopes(log: Array, normals: Floats) -> Array:
 def _least_squares(values: Array, basis: Array, weight: Array, prior: float) -> tuple[Array, Array]:
     """Unknowns (V, K) of views and points (P,) whose sums are nearest to the values (P, V).
 
-    The points are eliminated. What is common to all views is pinned to 0, see `solve_views`.
-
-    Args:
-        values: (P, V) log radiance.
-        basis: (P, K) that a view's unknowns are multiplied with.
-        weight: (P, V), 0 where a view does not show a point.
-        prior: Weight with which every unknown is drawn to 0.
+    Points are eliminated; what is common to all views is pinned to 0, see `solve_views`. A view's
+    unknowns are multiplied with `basis` (P, K); `prior` draws them to 0.
     """
     (count, views), size = weight.shape, basis.shape[1]
     mass = weight.sum(1)
@@ -97,8 +83,8 @@ def _least_squares(values: Array, basis: Array, weight: Array, prior: float) -> 
 def have_own_lights(log: Array, normals: Floats, places: tuple[Floats, Floats]) -> bool:
     """Whether photographs are each in a light of its own.
 
-    Slopes of points in some places must let photographs predict those in others, better than gains
-    alone and better than a specular reflection under one light do.
+    Slopes of points in some places must let photographs predict those in others better than gains
+    alone and better than a specular layer under one light.
 
     Args:
         log: (P, V, 3) log radiance under a plain tone curve, without any falloff, NaN where a view
@@ -136,10 +122,9 @@ def have_own_lights(log: Array, normals: Floats, places: tuple[Floats, Floats]) 
 
 
 def _mirrored(positions: Floats, normals: Floats, cameras: Floats, degree: int) -> Array:
-    """Polynomials (P, V, K) to some degree of where points mirror each camera to.
+    """Polynomials (P, V, K) to some degree of the direction that points mirror each camera to.
 
-    On the sphere they span spherical harmonics to that order, the third being as far as rough
-    specular reflections reach; of those with z squared or more nothing is left beside x and y.
+    On the sphere they span spherical harmonics to that order.
     """
     towards = cameras[None] - positions[:, None].astype(np.float64)
     towards /= np.linalg.norm(towards, axis=2, keepdims=True)
@@ -150,12 +135,9 @@ def _mirrored(positions: Floats, normals: Floats, cameras: Floats, degree: int) 
 
 
 def _solve_specular(log: Array, normals: Floats, mirrored: Array) -> Array:
-    """Coefficients (K,) of a specular reflection under one light, by points and gains in turns.
+    """Coefficients (K,) of a specular layer under one light, by points and gains in turns.
 
-    Args:
-        log: (P, V, 3) log radiance, NaN where a view does not show a point.
-        normals: (P, 3) of the points.
-        mirrored: (P, V, K) what the specular reflection is a sum of.
+    Of log radiance (P, V, 3), normals (P, 3), and polynomials `mirrored` (P, V, K).
     """
     known = np.isfinite(log[..., 0])
     gray = np.nan_to_num(log).mean(2)

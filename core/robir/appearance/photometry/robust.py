@@ -24,9 +24,8 @@ _NUM_ROUNDS = 20  # solves, weights renewed after each
 class Weighing:
     """Weights that are renewed from round to round.
 
-    A plane's specular reflection changes a whole photograph of it as a gain would, but each
-    orientation by another amount: every orientation has one vote, in which its dull points count
-    more than its glossy ones.
+    Highlights change all points of a plane like a gain, but each orientation by another amount:
+    every orientation has one vote, in which its dull points count more.
 
     Attributes:
         known: (P, V) bool, where a view shows a point.
@@ -63,18 +62,10 @@ class Weighing:
 
 
 def solve_views(system: Array, right: Array, prior: float) -> Array:
-    """Unknowns of views that differences between views determine.
+    """Unknowns (V, K), mean 0, of views that differences between views determine.
 
-    What is common to all views is free but for the prior, and that vanishes where photographs agree
-    to the last bit: it is pinned to 0 besides, which changes nothing else.
-
-    Args:
-        system: (V, V) normal equations, whose rows sum to 0.
-        right: (V, K), whose columns sum to 0.
-        prior: Weight with which every unknown is drawn to 0.
-
-    Returns:
-        (V, K), mean 0.
+    Rows of the normal equations (V, V) and columns of `right` sum to 0. What is common to all views
+    is pinned to 0, as the prior vanishes where photographs agree to the last bit.
     """
     pin = np.trace(system) / len(system) ** 2
     return np.linalg.solve(system + prior * np.eye(len(system)) + pin, right)

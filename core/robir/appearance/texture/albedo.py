@@ -71,7 +71,7 @@ class TexelMaterial:
 
     Attributes:
         floor: (N, 3) radiance that a specular layer adds to every view.
-        kept: (N, 3) share of the light that enters paint below it.
+        kept: (N, 3) share of the light that enters the diffuse layer below it.
         metal: (N, 3) base colour where it is metal.
         metallic: (N,) bool.
         roughness: (N,) float32.
@@ -111,11 +111,11 @@ class TexelState:
         narrow: (N, J) visibility times cosine of the suns.
         albedo: (N, 3) so far.
         spread: (N,) standard error over views of the log of a texel's brightness.
-        edge: (N,) bool, where nobody knows how much sun arrives.
+        edge: (N,) bool, where it is not known how much sun arrives.
         disagreement: (N,) standard deviation of log albedo by views, shadow edges and dim light.
         unknown: (N,) the same, with what a specular layer hides.
         reference: Texels whose albedo is certain; None before it was read.
-        smooth: (N, 3) albedo freed of what is no paint; None where it was not.
+        smooth: (N, 3) smoothed albedo; None where it was not smoothed.
     """
 
     problem: Problem
@@ -183,12 +183,12 @@ class TexelState:
 
     @property
     def below(self) -> Floats:
-        """(N, 3) radiance of the paint below a specular layer."""
+        """(N, 3) diffuse radiance below a specular layer."""
         return np.maximum(self.total - self.material.floor, _LEAST_DIFFUSE * self.total)
 
     @property
     def exitant(self) -> Floats:
-        """(N, 3) radiosity of the paint."""
+        """(N, 3) diffuse radiosity."""
         return np.pi * self.below / self.material.kept
 
     @property
@@ -228,18 +228,9 @@ def texel_albedo(
     tracer: EmbreeTracer,
     pipeline: Pipeline,
 ) -> TexelAlbedo:
-    """Albedo of every texel.
+    """Albedo of every texel (base colour of metal), how well it is known, roughness and metal.
 
-    Args:
-        solved: Scene under the chosen tone curve, its light, and specular material.
-        texels: Points of the atlas.
-        views: Photographs, at the size they are to be read at.
-        tracer: Tracer of the mesh.
-        pipeline: Of the stage's steps.
-
-    Returns:
-        Albedo (base colour where the material is metal), how well it is known, roughness and metal;
-        texels no view shows take their neighbours' albedo.
+    Texels no view shows take their neighbours' albedo. Photographs have the size they are read at.
     """
     start = TexelState.of(solved, texels, views, tracer)
     return pipeline.run(ALBEDO, start).values

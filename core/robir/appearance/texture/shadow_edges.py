@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Albedo where a shadow's edge runs, or where photographs are clipped: one of the surroundings'.
+"""Albedo at shadow edges and where photographs are clipped: one of the surroundings'.
 
-There the mesh is never exact enough to say how much sun arrives. The share of sun is searched that
-makes the texel's albedo one that its surroundings have, and near what the rays say: RobIR's
-regularised visibility estimation (METHOD 2.7), per texel and without a network.
+The share of sun is searched that makes a texel's albedo one that its surroundings have, near what
+the rays say: RobIR's regularised visibility estimation (METHOD 2.7), per texel, without a network.
 """
 
 from __future__ import annotations
@@ -51,14 +50,10 @@ _CLIPPED_QUANTILE = 0.8  # of their albedos, that it takes
 def on_edges(
     problem: Problem, light: Light, texels: Texels, albedo: Floats, sky: float
 ) -> NDArray[np.bool_]:
-    """Texels where nobody knows how much sun arrives, (N,).
+    """Texels (N,) where it is not known how much sun arrives.
 
-    Args:
-        problem: Scene under the chosen tone curve.
-        light: Solved light.
-        texels: Points of the atlas.
-        albedo: (N, 3) by the mesh's own shadows.
-        sky: Mean irradiance without the suns; one that is weak beside it casts no edge.
+    By albedo (N, 3) under the mesh's own shadows, and the mean irradiance of the `sky`, beside
+    which a weak sun casts no edge.
     """
     if not len(light.axes):
         return np.zeros(len(albedo), bool)
@@ -75,11 +70,7 @@ def on_edges(
 
 
 def _contested(scene: Scene, light: Light, texels: Texels, mesh_error: float) -> NDArray[np.bool_]:
-    """Whether points a mesh error away along the surface see a sun differently, (N, J).
-
-    The lobe of `EDGE_SHARPNESS` spans little where the blocker is near; contact shadows are found
-    by stepping aside instead.
-    """
+    """Whether points a mesh error away along the surface see a sun differently, (N, J)."""
     first, second = orthonormal_frame(torch.from_numpy(texels.normal))
     lit = []
     for step in (0 * first, first, -first, second, -second):
@@ -163,16 +154,10 @@ def solve_shadow_edges(
 
 
 def _best_match(exitant: Floats, sun: tuple[Reals, Reals, Reals], surroundings: Floats) -> Floats:
-    """Of the albedos that shares of sun would give, the one most like some surroundings'.
+    """Of the albedos that shares of sun would give, the one (M, 3) most like some surroundings'.
 
-    Args:
-        exitant: (M, 3) pi times diffuse radiance.
-        sun: Irradiance without the sun (M, 3), that of the whole sun (M, 3), and the share (M,) of
-            it that the rays say.
-        surroundings: (M, K, 3) albedos of the surroundings.
-
-    Returns:
-        (M, 3).
+    Of pi times diffuse radiance (M, 3); irradiance without the sun and of it whole (M, 3), and its
+    share (M,) by rays; albedos (M, K, 3) about.
     """
     rest, full, traced = sun
     # a channel at a time: sums over a last axis of three are ten times slower

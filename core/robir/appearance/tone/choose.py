@@ -32,8 +32,7 @@ class ToneChoice:
         seed: Of the search.
         allowed: Curves that may be chosen, simplest first.
         evidence: Of the histogram.
-        beyond: Shares of the observations whose colours no light gives under a curve, by the names
-            of the curves that these rule out.
+        beyond: Names of curves that cannot reach some colours, with these colours' share.
         suns: The light under the first curve: where shadows lie does not depend on it.
         candidates: The chosen one first, then by score.
     """
@@ -121,15 +120,5 @@ SEARCH: tuple[Step[ToneChoice], ...] = (
 def choose_tone_curve(
     scene: Scene, config: AppearanceConfig, seed: int, pipeline: Pipeline
 ) -> ToneChoice:
-    """Score every family that the histogram allows, as the photographs are and re-toned.
-
-    Args:
-        scene: Samples with their transport.
-        config: Families and sizes.
-        seed: Of the search.
-        pipeline: Of the stage's steps.
-
-    Returns:
-        Candidates and evidence.
-    """
+    """Score every family that the histogram allows."""
     return pipeline.run(SEARCH, ToneChoice.of(scene, config, seed))

@@ -1,12 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tone curves ranked by albedo that is carried between neighbours in different light.
 
-The fit's own loss cannot choose: a compressive curve shrinks every contrast it is judged by. What
-can is prediction in display space: take a sample's albedo to a neighbour that receives another
-irradiance, and compare the predicted display colour with the photographed one. Only under the true
-curve does a shadow darken bright and dark materials by the same factor. Pairs count by how much
-their irradiances differ and by how alike their albedos are, on average over all curves: a border
-of two materials says nothing, and all curves must be judged by the same pairs.
+The fit's own loss cannot choose, as a compressive curve shrinks every contrast. So a sample's
+albedo is taken to a neighbour of another irradiance, and its display colour is predicted: only
+under the true curve does a shadow darken bright and dark materials by one factor. Pairs count by
+how much their irradiances differ and how alike their albedos are, on average over all curves.
 """
 
 from __future__ import annotations
@@ -96,11 +94,7 @@ def pair_likeness(problem: Problem, light: Light) -> Tensor:
 
 
 def error_tables(models: list[tuple[Problem, Light]]) -> list[Table]:
-    """Display errors, 0..1, of carried albedo by blocks of the surface, under each curve.
-
-    Args:
-        models: One scene under every curve, and the light under each.
-    """
+    """Display errors, 0..1, of carried albedo by blocks of the surface, a model each."""
     scored = side_by_side(lambda model: pair_errors(*model), models)
     contrast = torch.stack([weight for _, weight in scored]).mean(0)
     likeness = torch.stack(side_by_side(lambda model: pair_likeness(*model), models)).mean(0)
@@ -144,12 +138,8 @@ def ranked(
 def simplest_near_best(tables: list[Table], names: list[str]) -> int:
     """Number of the simplest curve within `SIMPLER_MARGIN` of the lowest error.
 
-    A camera's response is none of them, where there are others. The plain curve comes last: what is
-    no camera is a renderer, and most of these roll off.
-
-    Args:
-        tables: Display errors under each curve, 0..1.
-        names: Of the curves, simplest first.
+    `names` are simplest first. A camera's response is none of them, where there are others; the
+    plain curve comes last, as most renderers roll off.
     """
     best = _best(tables, names)
     order = sorted(range(len(names)), key=lambda number: names[number] == PLAIN)
@@ -158,13 +148,7 @@ def simplest_near_best(tables: list[Table], names: list[str]) -> int:
 
 
 def camera_lags(tables: list[Table], names: list[str], origin: str) -> bool:
-    """Whether a camera's response lags the best of the others by more than its margin.
-
-    Args:
-        tables: Display errors under each curve, 0..1.
-        names: Of the curves.
-        origin: Where the photographs are from, as in the configuration.
-    """
+    """Whether a camera's response lags the best of the others by more than `origin` allows."""
     camera, best = names.index(CAMERA), _best(tables, names)
     return camera != best and _lags(tables, camera, best, _CAMERA_LAG[origin])
 
@@ -178,8 +162,7 @@ def _camera_holds(
     """Whether the response of cameras is kept.
 
     A curve of more contrast starts farther from its light. So where it lags at all, its light and
-    that of the best are settled by further steps first: a lag of 2 then was 3.5 for a rendering
-    through Filmic, and one of 3.5 was 2.2 for a photograph.
+    that of the best are settled by further steps first.
     """
     camera, best = names.index(CAMERA), _best(tables, names)
     if not np.isfinite(_CAMERA_LAG[config.origin]) or not _lags(tables, camera, best):
@@ -221,8 +204,7 @@ def fits_alike(chosen: CurveCandidate, other: CurveCandidate) -> bool:
 def albedo_apart(chosen: CurveCandidate, other: CurveCandidate) -> float | None:
     """PSNR in dB of the albedo under one curve against that under another, one scale a channel.
 
-    Both are those of the samples that take part in the light solve, as far as neither is clipped,
-    and under the light that was found with the curve; None where there are no such samples.
+    Of the unclipped samples of the light solve, under each curve's light; None without such.
     """
     (first, is_whole), (second, is_whole_too) = _albedo(chosen), _albedo(other)
     whole = is_whole & is_whole_too
