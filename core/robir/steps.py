@@ -58,7 +58,7 @@ def corrected(by_step: Mapping[str, Correction]) -> Iterator[None]:
             del _corrections[name]
 
 
-class Course:
+class Pipeline:
     """One run through a stage's steps.
 
     Args:
@@ -74,7 +74,7 @@ class Course:
         self.changed: set[str] = set()
         self.seconds: dict[str, float] = {}
 
-    def carry_out(self, steps: Sequence[Step[State]], state: State) -> State:
+    def run(self, steps: Sequence[Step[State]], state: State) -> State:
         """Do one step after the other, but for those left out."""
         for step in steps:
             if step.name not in self._without:

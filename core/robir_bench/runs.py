@@ -22,7 +22,7 @@ from robir.evaluation.truth import has_truth
 from robir.jobs.paths import STAGES, JobPaths, read_json, replacing, write_json
 from robir.pipeline.usage import Usage
 from robir.presets import PRESETS
-from robir_bench.judge.oracles import is_told_by_step, mesh_of
+from robir_bench.judge.oracles import is_set_after_step, mesh_of
 from robir_bench.paper.config import VARIANTS, shrunken
 from robir_bench.plan import BORROWERS, MITSUBA_TOLD, OURS, PHOTO, BenchRun
 
@@ -254,7 +254,7 @@ def _reconstructed(run: BenchRun, out: Path) -> Record:
     if run.oracle is not None and (mesh := mesh_of(run.oracle, run.capture)) is not None:
         words += ["--mesh", str(mesh)]
     where = (str(run.capture), str(out))
-    if run.oracle is not None and is_told_by_step(run.oracle):
+    if run.oracle is not None and is_set_after_step(run.oracle):
         fitted = _python("robir_bench.judge.oracles", run.oracle, *where, *words, *changes)
     else:
         fitted = _robir("reconstruct", where[0], "-o", where[1], *words, *changes)

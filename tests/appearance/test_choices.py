@@ -12,12 +12,12 @@ from appearance import synthetic
 from robir.appearance.config import AppearanceConfig
 from robir.appearance.light.lobes import soft_lobes
 from robir.appearance.light.problem import make_problem
-from robir.appearance.material.gloss import specular_towards
-from robir.appearance.material.roughness import DULL, EACH, GLOSSY, MATTE, ONE
+from robir.appearance.material.roughness import EACH, MATTE, ONE, WITH_SPECULAR, WITHOUT_SPECULAR
+from robir.appearance.material.specular import specular_towards
 from robir.appearance.solution import solve
 from robir.appearance.tone.choose import choose_tone_curve
 from robir.maths.tone import curve_from_name
-from robir.steps import Course
+from robir.steps import Pipeline
 
 CONFIG = AppearanceConfig(
     num_soft_lobes=synthetic.NUM_SOFT, num_scan_directions=600, iterations=90, num_materials=4
@@ -28,12 +28,12 @@ CLAY, SLATE = np.float32([0.5, 0.3, 0.2]), np.float32([0.15, 0.3, 0.5])
 
 def chosen(scene, config=CONFIG):
     """The model of a scene, its rows by name, its light, and its gloss."""
-    tone = choose_tone_curve(scene, config, 0, Course())
+    tone = choose_tone_curve(scene, config, 0, Pipeline())
     first = tone.candidates[0]
-    found = solve(first.problem, first.light, config, 0, Course())
-    gloss = found.material
-    rows = {row.choice: row.chosen for row in (*found.choices, *gloss.choices)}
-    return first.curve.name, rows, found.light, gloss
+    found = solve(first.problem, first.light, config, 0, Pipeline())
+    specular = found.material
+    rows = {row.choice: row.chosen for row in (*found.choices, *specular.choices)}
+    return first.curve.name, rows, found.light, specular
 
 
 def seen_samples(scene):
@@ -80,12 +80,12 @@ def test_one_material_has_one_roughness(roughness):
     """Two paints under one varnish."""
     parts = halves(synthetic.Material(CLAY, roughness), synthetic.Material(SLATE, roughness))
     scene, _ = synthetic.ball(parts, synthetic.sun_and_uneven_sky(), curve_from_name("filmic"))
-    _, rows, _, gloss = chosen(scene)
-    assert (rows["specular"], rows["roughness"]) == (GLOSSY, ONE)
+    _, rows, _, specular = chosen(scene)
+    assert (rows["specular"], rows["roughness"]) == (WITH_SPECULAR, ONE)
     seen = seen_samples(scene)
-    assert len(set(gloss.roughness[seen])) == 1
-    assert gloss.roughness[seen][0] == pytest.approx(roughness, abs=0.08)
-    assert not gloss.metallic.any()
+    assert len(set(specular.roughness[seen])) == 1
+    assert specular.roughness[seen][0] == pytest.approx(roughness, abs=0.08)
+    assert not specular.metallic.any()
 
 
 def test_a_polished_half_and_a_rough_one_have_each_its_roughness():
@@ -93,30 +93,30 @@ def test_a_polished_half_and_a_rough_one_have_each_its_roughness():
     parts = halves(polished, rough)
     scene, _ = synthetic.ball(parts, synthetic.sun_and_uneven_sky(), curve_from_name("filmic"))
     # of more materials none is mirrored by enough of so few views
-    _, rows, _, gloss = chosen(scene, replace(CONFIG, num_materials=2))
-    assert (rows["specular"], rows["roughness"]) == (GLOSSY, EACH)
+    _, rows, _, specular = chosen(scene, replace(CONFIG, num_materials=2))
+    assert (rows["specular"], rows["roughness"]) == (WITH_SPECULAR, EACH)
     seen = seen_samples(scene)
     is_polished = scene.transport.surfels.position[:, 1] > 0
-    assert np.median(gloss.roughness[seen & is_polished]) == pytest.approx(0.3, abs=0.1)
-    assert np.median(gloss.roughness[seen & ~is_polished]) == pytest.approx(0.72, abs=0.1)
+    assert np.median(specular.roughness[seen & is_polished]) == pytest.approx(0.3, abs=0.1)
+    assert np.median(specular.roughness[seen & ~is_polished]) == pytest.approx(0.72, abs=0.1)
 
 
 def test_a_matte_object_has_no_highlights():
     """Lambert's paint without any varnish: nothing in it is glossy, nothing is taken off it."""
     parts = halves(*(synthetic.Material(base, 0.5, specular=0.0) for base in (CLAY, SLATE)))
     scene, _ = synthetic.ball(parts, synthetic.sun_and_uneven_sky(), curve_from_name("filmic"))
-    _, rows, light, gloss = chosen(scene)
-    assert (rows["specular"], rows["roughness"]) == (DULL, ONE)
+    _, rows, light, specular = chosen(scene)
+    assert (rows["specular"], rows["roughness"]) == (WITHOUT_SPECULAR, ONE)
     seen = seen_samples(scene)
-    assert not gloss.has_highlights
-    assert not gloss.metallic.any()
-    assert not gloss.floor.any()
-    np.testing.assert_array_equal(gloss.kept, 1)
-    np.testing.assert_array_equal(gloss.roughness[seen], MATTE)
+    assert not specular.has_highlights
+    assert not specular.metallic.any()
+    assert not specular.floor.any()
+    np.testing.assert_array_equal(specular.kept, 1)
+    np.testing.assert_array_equal(specular.roughness[seen], MATTE)
     problem = make_problem(scene, curve_from_name("filmic"))
     few = np.flatnonzero(seen)[:5]
     towards = scene.transport.surfels.normal[few]
-    dielectric, _, kept = specular_towards(problem, light, gloss, few, towards)
+    dielectric, _, kept = specular_towards(problem, light, specular, few, towards)
     np.testing.assert_array_equal(dielectric, 0)
     np.testing.assert_array_equal(kept, 1)
 
@@ -125,9 +125,9 @@ def test_gold_is_metal_and_nothing_else():
     gold = synthetic.Material(np.float32([0.9, 0.62, 0.25]), 0.3, specular=1.0)
     parts = [(lambda at: at[:, 0] < 2, gold)]
     scene, _ = synthetic.ball(parts, synthetic.sun_and_uneven_sky(), curve_from_name("filmic"))
-    gloss = chosen(scene)[3]
+    specular = chosen(scene)[3]
     seen = seen_samples(scene)
-    assert gloss.metallic[seen].mean() > 0.95
-    red, green, blue = np.median(gloss.metal[seen], 0)
+    assert specular.metallic[seen].mean() > 0.95
+    red, green, blue = np.median(specular.metal[seen], 0)
     # what is read is drawn towards what metals there are
     assert red > 1.1 * green > 1.1**2 * blue

@@ -10,7 +10,7 @@ from appearance.synthetic import Material, ball, ball_radiance, sun_and_uneven_s
 from transport.shapes import looking_at
 
 from robir.appearance.light.problem import make_problem
-from robir.appearance.material.gloss import Gloss
+from robir.appearance.material.specular import SpecularMaterial
 from robir.appearance.render import render_views
 from robir.appearance.texture.texels import TexelAlbedo
 from robir.capture.capture import View
@@ -44,7 +44,7 @@ def shown():
     count = len(scene.transport.surfels)
     is_metal = (scene.transport.surfels.position[:, 2] > 0).astype(np.float32)
     nothing = np.zeros((count, 3), np.float32)
-    gloss = Gloss(
+    specular = SpecularMaterial(
         roughness=np.full(count, ROUGHNESS, np.float32),
         metallic=is_metal,
         metal=np.broadcast_to(METAL, (count, 3)).copy(),
@@ -78,7 +78,7 @@ def shown():
     blank = np.zeros((*shape, 3), np.uint8)
     view = View(name="a", image_display=blank, mask=mask, camera=camera, split="held_out")
     surface = (mesh, tracer, UpperIsMetal(mesh), values)
-    (found,) = render_views(problem, light, gloss, [view], surface)
+    (found,) = render_views(problem, light, specular, [view], surface)
     position = origins + np.where(hits.face >= 0, hits.distance, 0)[:, None] * directions
     return found, position.reshape(*shape, 3), light
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from robir.appearance.smooth_normals import SURFACE, Surface, smoothed
+from robir.appearance.smooth_normals import SURFACE, LitSurface, smoothed
 from robir.geometry.mesh.isosurface import plain_mesh
-from robir.steps import Course
+from robir.steps import Pipeline
 from robir.transport.baked import Transport
 from robir.transport.surfels import Surfels, sample_surfels
 
@@ -70,8 +70,8 @@ def test_surfaces_are_freed_of_their_grain(sphere):
     mesh = replace(mesh, normals=grainy(mesh.normals, 6))
     noisy = replace(surfels, normal=grainy(surfels.normal, 6))
     transport = Transport(surfels=noisy, visibility=None, observations=None)
-    surface = Surface(mesh=mesh, transport=transport)
-    found = Course().carry_out(SURFACE, surface)
+    surface = LitSurface(mesh=mesh, transport=transport)
+    found = Pipeline().run(SURFACE, surface)
     true = mesh.vertices / np.linalg.norm(mesh.vertices, axis=1, keepdims=True)
     assert angles(found.mesh.normals, true).mean() < 0.5 * angles(mesh.normals, true).mean()
     assert angles(found.transport.surfels.normal, surfels.normal).mean() < 3

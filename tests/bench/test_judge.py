@@ -17,7 +17,7 @@ from robir.errors import UsageError
 from robir.evaluation.truth import load_truth
 from robir.maths.vectors import equirect_directions, equirect_solid_angles
 from robir_bench.judge.oracle_table import told_runs
-from robir_bench.judge.oracles import ORACLES, Oracle, is_told_by_step, mesh_of, settings_of
+from robir_bench.judge.oracles import ORACLES, Oracle, is_set_after_step, mesh_of, settings_of
 from robir_bench.judge.scores import compared, keep
 from robir_bench.plan import BenchRun
 
@@ -62,7 +62,7 @@ def test_each_quantity_is_a_run_of_its_own(capture):
     with pytest.raises(UsageError, match="nothing is called weather"):
         told_runs([run], ["weather"])
     assert mesh_of("surface", capture).is_file() and mesh_of("level", capture) is None
-    by_setting = {name for name in ORACLES if not is_told_by_step(name)}
+    by_setting = {name for name in ORACLES if not is_set_after_step(name)}
     assert by_setting == {"family", "sun", "surface"}
     assert settings_of("family", capture)[0].startswith("appearance.families=")
 

@@ -30,7 +30,7 @@ from robir.geometry.refine.correlation import (
 from robir.geometry.refine.step import ThinPlate, refine
 from robir.geometry.selection import STEREO, Selection, bending, refined
 from robir.geometry.stereo.sweep import Picture
-from robir.steps import Course
+from robir.steps import Pipeline
 
 SIDE = 128
 CONFIG = GeometryConfig(stereo_side=SIDE, refine_sides=(SIDE,), face_budget=3000)
@@ -192,7 +192,7 @@ def test_the_rivals_take_the_place_of_a_worse_field_alone(capture, photos):
         assert not rival.beats(field), "only the first level is compared"
         assert (rival.best is not None) == wins
     assert rival.best.name == STEREO
-    mesh = finished(refined(rival.best, capture.train, CONFIG), CONFIG, print, Course())
+    mesh = finished(refined(rival.best, capture.train, CONFIG), CONFIG, print, Pipeline())
     assert 1000 < len(mesh.faces) <= 24000
     assert roughness(mesh) < 0.02
     off = replace(CONFIG, stereo_side=0)

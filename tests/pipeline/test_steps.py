@@ -10,7 +10,7 @@ import pytest
 from robir.appearance.stage import STEPS as APPEARANCE
 from robir.errors import ConfigError
 from robir.geometry.stage import STEPS as GEOMETRY
-from robir.steps import Course, Step, check_left_out
+from robir.steps import Pipeline, Step, check_left_out
 
 ADDING = (
     Step(name="one", purpose="-", source="-", run=lambda n: (*n, 1)),
@@ -20,8 +20,8 @@ ADDING = (
 
 
 def test_steps_follow_each_other_but_for_those_left_out():
-    assert Course().carry_out(ADDING, ()) == (1, 2, 3)
-    assert Course(["three", "one"]).carry_out(ADDING, ()) == (2,)
+    assert Pipeline().run(ADDING, ()) == (1, 2, 3)
+    assert Pipeline(["three", "one"]).run(ADDING, ()) == (2,)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,16 +38,16 @@ def test_steps_that_change_nothing_are_told():
         Step(name="equal", purpose="-", source="-", run=lambda state: replace(state, values=[1])),
         Step(name="must", purpose="-", source="-", run=lambda state: state, is_on_trial=False),
     )
-    course = Course(["equal"])
-    ended = course.carry_out(steps, Known(values=[]))
+    pipeline = Pipeline(["equal"])
+    ended = pipeline.run(steps, Known(values=[]))
     assert (ended.values, ended.told) == ([1], "")
-    assert course.idle(steps) == ["same", "talks", "equal"]
-    told = course.plain(steps)
-    assert told["idle"] == course.idle(steps)
+    assert pipeline.idle(steps) == ["same", "talks", "equal"]
+    told = pipeline.plain(steps)
+    assert told["idle"] == pipeline.idle(steps)
     assert list(told["cpu_seconds"]) == ["same", "talks", "works", "must"]
-    course = Course()
-    course.carry_out(steps, course.carry_out(steps[3:], Known(values=[])))
-    assert course.idle(steps) == ["same", "talks"], "what changed something once is not idle"
+    pipeline = Pipeline()
+    pipeline.run(steps, pipeline.run(steps[3:], Known(values=[])))
+    assert pipeline.idle(steps) == ["same", "talks"], "what changed something once is not idle"
 
 
 @pytest.mark.parametrize("name", ["two", "four", ""])

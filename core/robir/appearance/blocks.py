@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Means over samples or pairs of them, with standard errors over blocks of the surface.
+"""Means over samples or pairs, with standard errors over blocks of the surface.
 
-Those near each other share their materials and the errors of the mesh, so they are no independent
-draws; blocks nearly are.
+Neighbours share materials and errors of the mesh, so they are no independent draws; blocks nearly
+are.
 """
 
 from __future__ import annotations

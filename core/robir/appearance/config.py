@@ -21,22 +21,21 @@ class AppearanceConfig:
 
     Attributes:
         families: Tone curves that may be chosen; one alone is taken as given.
-        origin: Where the photographs are from, if the user tells: "camera" or "render". It weighs
-            in the choice of the tone curve, no more; "auto" takes the first for the likelier.
+        origin: Where the photographs are from: "camera" or "render". It weighs in the choice of the
+            tone curve; "auto" takes the first for the likelier.
         num_soft_lobes: Fixed soft lobes that stand for the sky.
         num_sharp_lobes: Sharp lobes (suns, lamps) that may be found at most.
         num_scan_directions: Directions of the whole sphere scanned for suns.
-        num_solve_surfels: Surface samples by which suns and the tone curve are found; the light's
-            strengths and the gloss are found by all that two photographs show.
+        num_solve_surfels: Surface samples by which suns and the tone curve are found; strengths and
+            specular material are found by all that two photographs show.
         iterations: Adam steps of the last light solve; trial solves take a third.
         num_materials: Patches of like albedo and place that share one roughness.
-        shading_size: Side of the square atlas, texels, on which light and paint are told apart.
-        texture_size: Largest side of the textures, texels: they are as fine as the photographs
-            resolve, a multiple of `shading_size` by a power of two. Of a mesh with UDIM tiles it is
-            that of each tile, as far as all of them together have no more than 8192 squared.
-        white_point: What the user knows of one spot's paint: its u and v on the texture, v upwards,
-            then its albedo, linear Rec.709; empty if nothing. It settles how bright and of
-            which hue light and albedo are, which photographs leave open.
+        shading_size: Side of the square atlas on which light and albedo are separated, texels.
+        texture_size: Largest side of the textures, texels, a multiple of `shading_size` by a power
+            of two; as fine as photographs resolve. Of UDIM tiles it is that of each, up to 8192
+            squared together.
+        white_point: A spot of known albedo: u and v on the texture, v upwards, then linear Rec.709;
+            empty if none. It fixes brightness and hue of light and albedo.
         sun: Direction towards the sun, capture frame, if the user knows it, else empty.
         without: Names of steps that are left out, to see what they are worth.
     """

@@ -7,12 +7,12 @@ from collections.abc import Collection
 
 from robir.appearance.light.solver import Light
 from robir.appearance.photometry.exposure import Gains
-from robir.appearance.photometry.other_light import LEAST_SPREAD, LEAST_STEPS
+from robir.appearance.photometry.other_light import LEAST_SPREAD, LEAST_STOPS
 from robir.appearance.tone.choose import ToneChoice
-from robir.appearance.tone.rivals import fits_alike
+from robir.appearance.tone.ranking import fits_alike
 from robir.jobs.choice import Choice
 
-GREY, BY_ALL, BY_PAINT = (
+GREY, BY_ALL, BY_KNOWN_ALBEDO = (
     "grey as a whole",
     "as is common",
     "by the paint that you know",
@@ -20,15 +20,9 @@ GREY, BY_ALL, BY_PAINT = (
 
 
 def light_choices(tone: ToneChoice, light: Light, seconds: dict[str, float]) -> tuple[Choice, ...]:
-    """On the tone curve and the light.
-
-    Args:
-        tone: The curves that were compared.
-        light: The solved light.
-        seconds: Processor time by task: "tone_curve", "light".
-    """
+    """On the tone curve and the light; `seconds` is processor time by "tone_curve", "light"."""
     candidates, evidence = tone.candidates, tone.evidence
-    is_known = tone.scene.known_paint is not None
+    is_known = tone.scene.known_albedo is not None
     reason = {
         True: f"{evidence.clipped_share:.1%} of the observations sit at code 255: the curve clips",
         False: "bright pixels thin out towards code 255: the curve rolls off",
@@ -60,14 +54,14 @@ def light_choices(tone: ToneChoice, light: Light, seconds: dict[str, float]) -> 
         ),
         Choice(
             choice="hue of the light",
-            chosen=BY_PAINT if is_known else GREY,
-            alternatives=(GREY if is_known else BY_PAINT,),
+            chosen=BY_KNOWN_ALBEDO if is_known else GREY,
+            alternatives=(GREY if is_known else BY_KNOWN_ALBEDO,),
             why="nothing tells the light's colour from that of all albedos but paint that you know",
         ),
         Choice(
             choice="brightness of the light",
-            chosen=BY_PAINT if is_known else BY_ALL,
-            alternatives=(BY_ALL if is_known else BY_PAINT,),
+            chosen=BY_KNOWN_ALBEDO if is_known else BY_ALL,
+            alternatives=(BY_ALL if is_known else BY_KNOWN_ALBEDO,),
             why="how bright paints and exposures commonly are tells it, or paint that you know",
         ),
     )
@@ -90,16 +84,10 @@ def _beyond(tone: ToneChoice) -> str:
 def camera_choices(
     gains: Gains, unlike: Collection[str], seconds: dict[str, float]
 ) -> tuple[Choice, ...]:
-    """On exposures, light and corners of a camera's photographs; no rendering is asked for them.
-
-    Args:
-        gains: What was found.
-        unlike: Photographs under another light than most.
-        seconds: Processor time by task: "exposure".
-    """
+    """On exposures, light and corners of photographs; `seconds` is processor time by "exposure"."""
     alike, apart = "one for all", "each photograph its own"
-    steps = gains.falloff.corner_steps
-    even, darker = "as bright as the middle", f"{steps:.2f} steps darker than the middle"
+    stops = gains.falloff.corner_stops
+    even, darker = "as bright as the middle", f"{stops:.2f} stops darker than the middle"
     number, own = len(unlike), bool(gains.slopes)
     light = f"{apart if own else 'one'}, without {number} of them" if number else apart
     return (
@@ -108,7 +96,7 @@ def camera_choices(
             chosen=light if number or own else "one",
             alternatives=("one",) if own else (apart,),
             why="a photograph is left out where it is more than "
-            f"{LEAST_STEPS} steps brighter or darker than the rest and its points "
+            f"{LEAST_STOPS} stops brighter or darker than the rest and its points "
             f"differ in that by more than {LEAST_SPREAD:.0%}; each has its own light "
             "where that lets photographs predict points elsewhere better than a sheen would",
         ),
@@ -122,8 +110,8 @@ def camera_choices(
         ),
         Choice(
             choice="corners of the photographs",
-            chosen=darker if steps else even,
-            alternatives=(even if steps else "darker than the middle",),
+            chosen=darker if stops else even,
+            alternatives=(even if stops else "darker than the middle",),
             why="corners are darker where photographs that had no part in that prove it",
         ),
     )

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
-from robir.appearance.material.gloss import Gloss
+from robir.appearance.material.specular import SpecularMaterial
 from robir.appearance.texture.texels import TexelAlbedo, Texels, radiance_towards
 from robir.capture.capture import View
 from robir.geometry.mesh.tracer import EmbreeTracer
@@ -34,12 +34,7 @@ class AtlasLookup:
     """Texel values at points of the mesh."""
 
     def __init__(self, mesh: Mesh, inside: NDArray[np.bool_]) -> None:
-        """Number the texels of the atlas.
-
-        Args:
-            mesh: Unwrapped mesh.
-            inside: (T, T) bool, texels that belong to a chart, row 0 at v = 1.
-        """
+        """Number the texels `inside` (T, T) charts of an unwrapped mesh, row 0 at v = 1."""
         self._mesh = mesh
         self._side = len(inside) // mesh.cells  # of a tile; neighbours are looked for in it only
         self._number = np.full(inside.shape, -1, np.int64)
@@ -71,7 +66,7 @@ class AtlasLookup:
         return np.clip(texel + shift, first, first + self._side - 1)
 
 
-class Painted(NamedTuple):
+class TexturedSurface(NamedTuple):
     """A surface with its texture.
 
     Attributes:
@@ -88,7 +83,7 @@ class Painted(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class _Seen:
+class _ViewPoints:
     """Points that rays through the object's pixels of one view meet.
 
     Attributes:
@@ -112,7 +107,7 @@ class _Seen:
     pixel_rays: int
 
     @classmethod
-    def of(cls, view: View, surface: Painted, rays: int) -> _Seen:
+    def of(cls, view: View, surface: TexturedSurface, rays: int) -> _ViewPoints:
         """Cast the rays of a view, so many along each side of a pixel."""
         mesh, tracer, lookup, _ = surface
         x, y = np.meshgrid(*2 * [(np.arange(rays) + 0.5) / rays])
@@ -139,13 +134,13 @@ class _Seen:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Rendered:
+class RenderedView:
     """What a view shows.
 
     Attributes:
         image: (H, W, 3) uint8, display codes.
-        diffuse: (H, W, 3) uint8, the same of the texture alone: every point is matt and sends its
-            albedo times the irradiance over pi, also where the material is metal or glossy.
+        diffuse: (H, W, 3) uint8, the same of the matt texture: albedo times irradiance over pi,
+            also where the material is metal or glossy.
         alpha: (H, W) uint8, how much of each pixel the asset covers, in 255ths.
     """
 
@@ -157,45 +152,38 @@ class Rendered:
 def render_views(
     problem: Problem,
     light: Light,
-    gloss: Gloss,
+    specular: SpecularMaterial,
     views: Sequence[View],
-    surface: Painted,
-) -> Iterator[Rendered]:
-    """Render views with the recovered asset, light and tone curve.
-
-    Args:
-        problem: Scene under the chosen tone curve.
-        light: Solved light.
-        gloss: Specular material of the samples.
-        views: Cameras and masks; only object pixels are rendered.
-        surface: Surface with its texture.
-
-    Yields:
-        What each view shows.
-    """
+    surface: TexturedSurface,
+) -> Iterator[RenderedView]:
+    """Render the object's pixels of views with the recovered asset, light and tone curve."""
     *_, values = surface
     largest = max((view.mask.size for view in views), default=1)
     together = max(1, MOST_POINTS // (_PIXEL_RAYS**2 * largest))
     for start in range(0, len(views), together):
         group = views[start : start + together]
-        seen = side_by_side(lambda view: _Seen.of(view, surface, _PIXEL_RAYS), group)
+        seen = side_by_side(lambda view: _ViewPoints.of(view, surface, _PIXEL_RAYS), group)
         ends = np.cumsum([len(one.texel) for one in seen])[:-1]
         whole, matt = (
-            np.split(radiance, ends) for radiance in _radiance(problem, light, gloss, seen, values)
+            np.split(radiance, ends)
+            for radiance in _radiance(problem, light, specular, seen, values)
         )
         for one, radiance, diffuse in zip(seen, whole, matt, strict=True):
             image, alpha = _picture(problem, one, radiance)
             matt_image, _ = _picture(problem, one, diffuse)
-            yield Rendered(image=image, diffuse=matt_image, alpha=alpha)
+            yield RenderedView(image=image, diffuse=matt_image, alpha=alpha)
 
 
 def _radiance(
-    problem: Problem, light: Light, gloss: Gloss, seen: list[_Seen], values: TexelAlbedo
+    problem: Problem,
+    light: Light,
+    specular: SpecularMaterial,
+    seen: list[_ViewPoints],
+    values: TexelAlbedo,
 ) -> tuple[Floats, Floats]:
-    """Radiance (N, 3), linear Rec.709, that the points of all views send to their cameras.
+    """Radiance (N, 3), linear Rec.709, of the points of all views, and of their matt texture alone.
 
-    The second is that of the matt texture alone, see `Rendered.diffuse`. Views share most of the
-    surface, and what arrives at it, the costly part, is found once.
+    Views share most of the surface, so what arrives at it, the costly part, is found once.
     """
     points = Texels(
         position=np.concatenate([one.points.position for one in seen]),
@@ -203,12 +191,12 @@ def _radiance(
     )
     texel = np.concatenate([one.texel for one in seen])
     towards = np.concatenate([one.towards for one in seen])
-    paint = values.albedo[texel], values.metallic[texel, None]
-    return radiance_towards((problem, light, gloss), points, (slice(None), towards), paint)
+    material = values.albedo[texel], values.metallic[texel, None]
+    return radiance_towards((problem, light, specular), points, (slice(None), towards), material)
 
 
 def _picture(
-    problem: Problem, seen: _Seen, radiance: Floats
+    problem: Problem, seen: _ViewPoints, radiance: Floats
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     """Display image (H, W, 3) of the radiance (N, 3) of a view's points, and its alpha (H, W)."""
     # a pixel is the mean radiance over its square, as on a sensor, and then through the curve

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Normals of a surface from photographs, freed of its grain.
 
-A surface from photographs is right to a pixel, but its normals are off by what a pixel is over the
-distance of its vertices, and reflections double that. So normals, not places, are averaged over
-their surroundings; those that face elsewhere count little, so that edges stay (bilateral filtering
-of normals, Jones et al. 2003 and Zheng et al. 2011). The reflected sky of four real captures is
-predicted better for it at parts of the surface that took no part in its fit.
+Such a surface is right to a pixel, but its normals are off by a pixel over the distance of its
+vertices, and reflections double that. So normals are averaged over their surroundings, and those
+that face elsewhere count little (bilateral filtering of normals, Jones et al. 2003 and Zheng et al.
+2011).
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ _NUM_SAMPLES = 128  # samples that are averaged at most, the nearest
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Surface:
+class LitSurface:
     """What light falls on.
 
     Attributes:
@@ -47,13 +46,7 @@ class Surface:
 
 
 def smoothed(position: Floats, normal: Floats, surfels: Surfels) -> Floats:
-    """Normals (N, 3) averaged over the samples about them.
-
-    Args:
-        position: (N, 3), unit frame.
-        normal: (N, 3) unit, by which edges are told.
-        surfels: Even samples of the surface.
-    """
+    """Normals (N, 3), at positions (N, 3), averaged over the samples about them."""
     tree = cKDTree(surfels.position)
     known = np.concatenate([surfels.normal, np.zeros((1, 3), np.float32)])
     result = np.empty_like(normal)
@@ -71,7 +64,7 @@ def smoothed(position: Floats, normal: Floats, surfels: Surfels) -> Floats:
     return result
 
 
-def _smooth_normals(state: Surface) -> Surface:
+def _smooth_normals(state: LitSurface) -> LitSurface:
     mesh, surfels = state.mesh, state.transport.surfels
     own = smoothed(surfels.position, surfels.normal, surfels)
     vertices = smoothed(mesh.vertices.astype(np.float32), mesh.normals, surfels)
@@ -82,7 +75,7 @@ def _smooth_normals(state: Surface) -> Surface:
     )
 
 
-SURFACE: tuple[Step[Surface], ...] = (
+SURFACE: tuple[Step[LitSurface], ...] = (
     Step(
         name="smooth-normals",
         purpose="frees the surface's normals of their grain",

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Light and material of a scene under its tone curve, step by step.
 
-Light first, then gloss, then the light's strengths once more without the highlights.
+Light first, then the specular layer, then the light's strengths once more without the highlights.
 """
 
 from __future__ import annotations
@@ -11,18 +11,18 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from robir.appearance.config import AppearanceConfig
-from robir.appearance.evidence.level import told_level
-from robir.appearance.evidence.white_point import sent_by_paint
-from robir.appearance.evidence.witness import BY_PAINT, Witness
-from robir.appearance.light.known_paint import READ_ERROR
+from robir.appearance.evidence.estimate import BY_KNOWN_ALBEDO, Estimate
+from robir.appearance.evidence.level import level_estimates
+from robir.appearance.evidence.white_point import sent_by_known_albedo
+from robir.appearance.light.known_albedo import READ_ERROR
+from robir.appearance.light.prior import NO_PRIOR, LightPrior
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light, refit
 from robir.appearance.light.sun_search import polish
-from robir.appearance.light.told import NOTHING_TOLD, Told
-from robir.appearance.material.gloss import Gloss, estimate_gloss
 from robir.appearance.material.metal import SOLVED_WITHOUT
+from robir.appearance.material.specular import SpecularMaterial, estimate_specular
 from robir.jobs.choice import Choice
-from robir.steps import Course, Step
+from robir.steps import Pipeline, Step
 
 # how much more firmly a told level is held than its error asks. In a solve pairs of neighbours
 # speak of it as well, by the light between surfaces, and errors of the mesh are common to many.
@@ -37,12 +37,12 @@ class Solution:
         problem: The scene under the chosen tone curve, highlights and all.
         matte: The same without the highlights that are known.
         light: The light so far.
-        gloss: Specular material so far; None before it was looked for.
-        told: What evidence tells of the light as a whole so far.
+        specular: Specular material so far; None before it was estimated.
+        prior: Level and hue of the light as a whole, as far as evidence gives them.
         config: Sizes.
         seed: Of sub-samples and clusters.
         choices: What was chosen, for the report.
-        witnesses: What evidence tells of the light, for the report.
+        estimates: What evidence says of the light, for the report.
     """
 
     problem: Problem
@@ -50,17 +50,17 @@ class Solution:
     light: Light
     config: AppearanceConfig
     seed: int
-    gloss: Gloss | None = None
-    told: Told = NOTHING_TOLD
+    specular: SpecularMaterial | None = None
+    prior: LightPrior = NO_PRIOR
     choices: tuple[Choice, ...] = field(default=(), compare=False)
-    witnesses: tuple[Witness, ...] = field(default=(), compare=False)
+    estimates: tuple[Estimate, ...] = field(default=(), compare=False)
 
     @property
-    def material(self) -> Gloss:
+    def material(self) -> SpecularMaterial:
         """Specular material, once it was looked for."""
-        if self.gloss is None:
+        if self.specular is None:
             raise RuntimeError("gloss was not looked for")
-        return self.gloss
+        return self.specular
 
     @property
     def thorough(self) -> AppearanceConfig:
@@ -69,22 +69,11 @@ class Solution:
 
 
 def solve(
-    problem: Problem, light: Light, config: AppearanceConfig, seed: int, course: Course
+    problem: Problem, light: Light, config: AppearanceConfig, seed: int, pipeline: Pipeline
 ) -> Solution:
-    """Carry the steps out.
-
-    Args:
-        problem: The scene under the chosen tone curve.
-        light: Its first light.
-        config: Sizes.
-        seed: Of sub-samples and clusters.
-        course: Of the stage's steps.
-
-    Returns:
-        What is known at the end, gloss included.
-    """
+    """Light and material, all steps run, from a first light under the chosen tone curve."""
     start = Solution(problem=problem, matte=problem, light=light, config=config, seed=seed)
-    return course.carry_out(SOLUTION, start)
+    return pipeline.run(SOLUTION, start)
 
 
 def _polish(state: Solution) -> Solution:
@@ -94,50 +83,50 @@ def _polish(state: Solution) -> Solution:
 def _by_every_sample(state: Solution) -> Solution:
     rng = np.random.default_rng(state.seed)
     whole = state.problem.by_every_sample(rng)
-    light = refit(whole, state.light, state.told, state.thorough)
+    light = refit(whole, state.light, state.prior, state.thorough)
     return replace(state, problem=whole, matte=whole, light=light)
 
 
-def _gloss(state: Solution) -> Solution:
-    gloss, diffuse = estimate_gloss(
+def _find_specular(state: Solution) -> Solution:
+    specular, diffuse = estimate_specular(
         state.problem, state.light, state.config.num_materials, state.seed
     )
     matte, rows = state.problem.without_highlights(diffuse), state.problem.scene.rows
     # metal has no diffuse light, so that its brightness tells nothing of what it receives
-    paint = gloss.solved_by(rows, SOLVED_WITHOUT)
-    if len(paint) < len(rows):
-        matte = matte.by_samples(paint, np.random.default_rng(state.seed))
-    return replace(state, gloss=gloss, matte=matte)
+    dielectric = specular.solved_by(rows, SOLVED_WITHOUT)
+    if len(dielectric) < len(rows):
+        matte = matte.by_samples(dielectric, np.random.default_rng(state.seed))
+    return replace(state, specular=specular, matte=matte)
 
 
 def _level(state: Solution) -> Solution:
     solved = state.matte.scene.rows
-    told = told_level(state.problem, state.light, state.material, solved)
-    if not told:
+    estimates = level_estimates(state.problem, state.light, state.material, solved)
+    if not estimates:
         return state
-    *_, together = told
+    *_, together = estimates
     error = together.deviation / _FIRMNESS
-    known = replace(state.told, level=together.value, level_error=error)
-    return replace(state, told=known, witnesses=(*state.witnesses, *told))
+    prior = replace(state.prior, level=together.value, level_error=error)
+    return replace(state, prior=prior, estimates=(*state.estimates, *estimates))
 
 
 def _white_point(state: Solution) -> Solution:
-    known = state.problem.scene.known_paint
+    known = state.problem.scene.known_albedo
     if known is None:
         return state
-    sent = sent_by_paint(state.matte, state.light, known)
+    sent = sent_by_known_albedo(state.matte, state.light, known)
     level = float(sent.mean())
-    told = Told(hue=sent - level, hue_error=READ_ERROR, level=level, level_error=READ_ERROR)
+    prior = LightPrior(hue=sent - level, hue_error=READ_ERROR, level=level, level_error=READ_ERROR)
     hue = float(sent[0] - sent[2])
     rows = (
-        Witness(of="level", by=BY_PAINT, value=level, deviation=READ_ERROR),
-        Witness(of="hue", by=BY_PAINT, value=hue, deviation=READ_ERROR * 2**0.5),
+        Estimate(of="level", by=BY_KNOWN_ALBEDO, value=level, deviation=READ_ERROR),
+        Estimate(of="hue", by=BY_KNOWN_ALBEDO, value=hue, deviation=READ_ERROR * 2**0.5),
     )
-    return replace(state, told=told, witnesses=(*state.witnesses, *rows))
+    return replace(state, prior=prior, estimates=(*state.estimates, *rows))
 
 
 def _refit(state: Solution) -> Solution:
-    return replace(state, light=refit(state.matte, state.light, state.told, state.thorough))
+    return replace(state, light=refit(state.matte, state.light, state.prior, state.thorough))
 
 
 SOLUTION: tuple[Step[Solution], ...] = (
@@ -158,7 +147,7 @@ SOLUTION: tuple[Step[Solution], ...] = (
         name="gloss",
         purpose="finds highlights and metal",
         source="GGX microfacets (Heitz 2014), a roughness a patch",
-        run=_gloss,
+        run=_find_specular,
         is_on_trial=False,
     ),
     Step(

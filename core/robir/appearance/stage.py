@@ -11,24 +11,23 @@ from typing import Any
 import numpy as np
 
 from robir.appearance.config import AppearanceConfig
-from robir.appearance.last_word import LastWord
-from robir.appearance.light.known_paint import KnownPaint
+from robir.appearance.held_out_suns import with_tested_suns
+from robir.appearance.light.known_albedo import KnownAlbedo
 from robir.appearance.light.lobes import lobes_of
 from robir.appearance.light.problem import Problem, Scene, make_scene
 from robir.appearance.light.solver import Light, fit, no_suns
-from robir.appearance.material.gloss import Gloss
-from robir.appearance.photometry.comparison import COMPARISON, Comparison
-from robir.appearance.proven_suns import with_proven_suns
+from robir.appearance.material.specular import SpecularMaterial
+from robir.appearance.photograph_check import CheckResult
+from robir.appearance.photometry.comparison import COMPARISON, PhotoComparison
 from robir.appearance.reasons import camera_choices, light_choices
-from robir.appearance.render import AtlasLookup, Painted, render_views
-from robir.appearance.smooth_normals import SURFACE, Surface
+from robir.appearance.render import AtlasLookup, TexturedSurface, render_views
+from robir.appearance.smooth_normals import SURFACE, LitSurface
 from robir.appearance.solution import SOLUTION, Solution, solve
 from robir.appearance.texture.albedo import ALBEDO
 from robir.appearance.texture.texels import TexelAlbedo
 from robir.appearance.texturing import TEXTURE, textured
 from robir.appearance.tone.choose import SEARCH, ToneChoice, choose_tone_curve
-from robir.appearance.tone.ranking import PLAIN
-from robir.appearance.tone.rivals import albedo_apart, fits_alike
+from robir.appearance.tone.ranking import PLAIN, albedo_apart, fits_alike
 from robir.capture.arrays import PICTURES, stored_arrays
 from robir.capture.capture import Capture
 from robir.capture.images.loading import resize_view
@@ -39,7 +38,7 @@ from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh, mesh_for_light
 from robir.jobs.context import StageContext
 from robir.jobs.paths import JobPaths, replacing, write_json
-from robir.steps import Course, Step, check_left_out
+from robir.steps import Pipeline, Step, check_left_out
 from robir.transport.baked import Transport
 from robir.transport.observe import MASK_INSIDE
 from robir.workers import meanwhile
@@ -54,63 +53,56 @@ _HELD_OUT_SIDE = 400  # longer side of the held-out views at most (pixels)
 
 
 def run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
-    """Choose the tone curve, solve light and materials, bake the textures.
-
-    Args:
-        context: Paths and settings.
-
-    Returns:
-        Figures for the manifest.
-    """
+    """Choose the tone curve, solve light and materials, bake the textures; figures of it."""
     config, reporter, folder = context.config, context.reporter, context.paths.stage("appearance")
     check_left_out(STEPS, config.without, "appearance.without")
-    course = Course(config.without)
+    pipeline = Pipeline(config.without)
     capture = load_settled(context.paths).normalised()
     config, (mesh, tracer, own_tracer) = with_known_curve(config, capture), _surface(context)
     transport = Transport.load(context.paths.stage("transport"))
     started = time.process_time()
-    compared = Comparison.of(transport, tracer, capture, context.seed)
-    compared = course.carry_out(COMPARISON, compared)
+    compared = PhotoComparison.of(transport, tracer, capture, context.seed)
+    compared = pipeline.run(COMPARISON, compared)
     seconds = {"exposure": time.process_time() - started}
     if other := compared.other_light:
-        reporter.warn(_told(other, capture))
+        reporter.warn(_other_light_warning(other, capture))
     common = transport.without_views(other)
-    lit = Surface(mesh=mesh, transport=common)
-    lit = course.carry_out(SURFACE, lit)
+    lit = LitSurface(mesh=mesh, transport=common)
+    lit = pipeline.run(SURFACE, lit)
     scene = _scene(context, lit, tracer, compared)
     started = time.process_time()
     reporter.progress(0.05, "finding the sun and the tone curve")
-    tone = choose_tone_curve(scene, config, context.seed, course)
+    tone = choose_tone_curve(scene, config, context.seed, pipeline)
     seconds |= {"tone_curve": time.process_time() - started}
     reporter.progress(0.5, f"solving the light under {tone.candidates[0].curve.name}")
-    solution = _solved(tone, config, context.seed, course)
-    problem, light, gloss = solution.matte, solution.light, solution.material
+    solution = _solved(tone, config, context.seed, pipeline)
+    problem, light, specular = solution.matte, solution.light, solution.material
     seconds["light"] = time.process_time() - started - seconds["tone_curve"]
     reporter.progress(0.7, "reading the textures from the photographs")
     shape = lit.mesh, tracer, own_tracer
-    texture = textured((problem, light, gloss), shape, capture.without(other), config, course)
-    light, gloss, inside = texture.light, texture.gloss, texture.inside
+    texture = textured((problem, light, specular), shape, capture.without(other), config, pipeline)
+    light, specular, inside = texture.light, texture.specular, texture.inside
     values = texture.values
     reporter.progress(0.9, "rendering held-out views")
-    surface = Painted(lit.mesh, own_tracer, AtlasLookup(mesh, inside), values)
-    psnr = _held_out(folder, problem, light, gloss, capture, other, surface)
+    surface = TexturedSurface(lit.mesh, own_tracer, AtlasLookup(mesh, inside), values)
+    psnr = _held_out(folder, problem, light, specular, capture, other, surface)
     _show(context.paths, capture)
-    _write_textures(folder, inside, values, gloss)
+    _write_textures(folder, inside, values, specular)
     _write_normals(folder, lit.mesh.normals)
     _write_light(folder, light)
     _write_tone_curve(folder, tone)
-    _write_last_word(folder, texture.word)
+    _write_check(folder, texture.checked)
     write_json(folder / "exposure.json", problem.gains.plain() | {"other_light": sorted(other)})
     choices = (
         *light_choices(tone, light, seconds),
-        *gloss.choices,
+        *specular.choices,
         *solution.choices,
-        *(() if texture.word is None else (texture.word.choice,)),
+        *(() if texture.checked is None else (texture.checked.choice,)),
         *camera_choices(problem.gains, other, seconds),
     )
     write_json(folder / "choices.json", [choice.plain() for choice in choices])
-    write_json(folder / "evidence.json", [witness.plain() for witness in solution.witnesses])
-    write_json(context.paths.steps("appearance"), course.plain(STEPS))
+    write_json(folder / "evidence.json", [estimate.plain() for estimate in solution.estimates])
+    write_json(context.paths.steps("appearance"), pipeline.plain(STEPS))
     return {
         "tone_curve": tone.candidates[0].curve.name,
         "sharp_lobes": len(light.axes),
@@ -119,14 +111,14 @@ def run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     }
 
 
-def _solved(tone: ToneChoice, config: AppearanceConfig, seed: int, course: Course) -> Solution:
+def _solved(tone: ToneChoice, config: AppearanceConfig, seed: int, pipeline: Pipeline) -> Solution:
     """Light and material under the curve that was chosen."""
     first = tone.candidates[0]
     if not len(first.light.axes) or tone.scene.sun is not None:  # no sun, or a sun that is told
-        return solve(first.problem, first.light, config, seed, course)
+        return solve(first.problem, first.light, config, seed, pipeline)
     with meanwhile(lambda: fit(first.problem, *no_suns(), config.iterations)) as sky:
-        found = solve(first.problem, first.light, config, seed, course)
-    return with_proven_suns(tone, found, sky(), course)
+        found = solve(first.problem, first.light, config, seed, pipeline)
+    return with_tested_suns(tone, found, sky(), pipeline)
 
 
 def with_known_curve(config: AppearanceConfig, capture: Capture) -> AppearanceConfig:
@@ -137,9 +129,9 @@ def with_known_curve(config: AppearanceConfig, capture: Capture) -> AppearanceCo
 
 def _scene(
     context: StageContext[AppearanceConfig],
-    lit: Surface,
+    lit: LitSurface,
     tracer: EmbreeTracer,
-    compared: Comparison,
+    compared: PhotoComparison,
 ) -> Scene:
     """The scene whose light is sought, with what the user tells of it."""
     config, visibility = context.config, lit.transport.visibility
@@ -153,7 +145,7 @@ def _scene(
     return replace(
         scene,
         exposures=compared.exposures,
-        known_paint=KnownPaint.of(lit.mesh, config.white_point),
+        known_albedo=KnownAlbedo.of(lit.mesh, config.white_point),
         sun=_direction(config.sun),
     )
 
@@ -168,10 +160,7 @@ def _direction(vector: tuple[float, ...]) -> np.ndarray | None:
 def _surface(
     context: StageContext[AppearanceConfig],
 ) -> tuple[Mesh, EmbreeTracer, EmbreeTracer]:
-    """The mesh that textures belong to, the tracer of that on which light is solved, and its own.
-
-    What a ray meets has its texture by its face: those of a copy with fewer are others.
-    """
+    """The textured mesh, the tracer of the mesh for light, and its own tracer."""
     folder = context.paths.stage("geometry")
     mesh, solid = Mesh.load(folder / "mesh.npz"), mesh_for_light(folder)
     tracer = EmbreeTracer(solid.vertices, solid.faces)
@@ -180,7 +169,7 @@ def _surface(
     return mesh, tracer, EmbreeTracer(mesh.vertices, mesh.faces)
 
 
-def _told(other: frozenset[str], capture: Capture) -> str:
+def _other_light_warning(other: frozenset[str], capture: Capture) -> str:
     """The warning about photographs under another light."""
     names = [view.name for view in capture.views if view.name in other]
     return describe(
@@ -198,15 +187,15 @@ def _held_out(
     folder: Path,
     problem: Problem,
     light: Light,
-    gloss: Gloss,
+    specular: SpecularMaterial,
     capture: Capture,
     other_light: frozenset[str],
-    surface: Painted,
+    surface: TexturedSurface,
 ) -> float | None:
     """Render and store the held-out views; PSNR of those in the common light."""
     images, diffuse, squared, count = {}, {}, 0.0, 0
     views = [resize_view(view, _HELD_OUT_SIDE) for view in capture.held_out]
-    pictures = render_views(problem, light, gloss, views, surface)
+    pictures = render_views(problem, light, specular, views, surface)
     for view, shown in zip(views, pictures, strict=True):
         image, alpha = shown.image, shown.alpha
         images[view.name] = np.dstack([image, alpha])
@@ -231,7 +220,9 @@ def _show(paths: JobPaths, capture: Capture) -> None:
         save_preview(paths.preview, np.dstack([view.image_display, view.mask]), rendering)
 
 
-def _write_textures(folder: Path, inside: np.ndarray, values: TexelAlbedo, gloss: Gloss) -> None:
+def _write_textures(
+    folder: Path, inside: np.ndarray, values: TexelAlbedo, specular: SpecularMaterial
+) -> None:
     """Store the texel values as square arrays."""
 
     def square(column: np.ndarray) -> np.ndarray:
@@ -249,7 +240,7 @@ def _write_textures(folder: Path, inside: np.ndarray, values: TexelAlbedo, gloss
             disagreement=square(values.disagreement),
             uncertainty=square(values.uncertainty),
             inside=inside,
-            specular=np.float32(gloss.has_highlights),
+            specular=np.float32(specular.has_highlights),
         )
 
 
@@ -278,13 +269,13 @@ def _write_light(folder: Path, light: Light) -> None:
     )
 
 
-def _write_last_word(folder: Path, word: LastWord | None) -> None:
+def _write_check(folder: Path, checked: CheckResult | None) -> None:
     """Store what photographs took back, if they were heard; what a run before left goes."""
     file = folder / "last_word.json"
-    if word is None:
+    if checked is None:
         file.unlink(missing_ok=True)
     else:
-        write_json(file, word.plain)
+        write_json(file, checked.plain)
 
 
 def _write_tone_curve(folder: Path, tone: ToneChoice) -> None:

@@ -10,10 +10,10 @@ import torch
 from numpy.typing import NDArray
 
 from robir.appearance.config import AppearanceConfig
-from robir.appearance.last_word import Asset, Jury, LastWord, heard
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
-from robir.appearance.material.gloss import Gloss
+from robir.appearance.material.specular import SpecularMaterial
+from robir.appearance.photograph_check import Asset, CheckResult, PhotographCheck, check_asset
 from robir.appearance.texture.albedo import texel_albedo
 from robir.appearance.texture.detail import finer
 from robir.appearance.texture.texel_size import (
@@ -28,7 +28,7 @@ from robir.capture.images.loading import resize_views
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.mesh.unwrap import rasterise_atlas
-from robir.steps import Course, Step
+from robir.steps import Pipeline, Step
 from robir.transport.observe import spread_views
 from robir.transport.surfels import interpolate
 
@@ -45,7 +45,7 @@ class Texture:
     Attributes:
         problem: Scene under the chosen tone curve.
         light: Solved light.
-        gloss: Specular material of the samples.
+        specular: Specular material of the samples.
         mesh: Unwrapped, unit frame.
         tracer: Of the mesh that light is solved on.
         own_tracer: Of the mesh itself, by whose faces texels are found.
@@ -55,13 +55,13 @@ class Texture:
         inside: (T, T) bool, texels that belong to a chart, row 0 at v = 1.
         atlas: Face (N,) and barycentric coordinates (N, 3) of the texels that were solved.
         values: Of these texels.
-        course: Of the stage's steps, for what is read again.
-        word: What photographs took back; None before they were heard.
+        pipeline: Of the stage's steps, for what is read again.
+        checked: Result of the photograph check; None before it.
     """
 
     problem: Problem
     light: Light
-    gloss: Gloss
+    specular: SpecularMaterial
     mesh: Mesh
     tracer: EmbreeTracer
     own_tracer: EmbreeTracer
@@ -71,28 +71,23 @@ class Texture:
     inside: NDArray[np.bool_]
     atlas: tuple[NDArray[np.int32], Floats]
     values: TexelAlbedo
-    course: Course = field(compare=False)
-    word: LastWord | None = field(default=None, compare=False)
+    pipeline: Pipeline = field(compare=False)
+    checked: CheckResult | None = field(default=None, compare=False)
 
 
 def textured(
-    solved: tuple[Problem, Light, Gloss],
+    solved: tuple[Problem, Light, SpecularMaterial],
     surface: tuple[Mesh, EmbreeTracer, EmbreeTracer],
     capture: Capture,
     config: AppearanceConfig,
-    course: Course,
+    pipeline: Pipeline,
 ) -> Texture:
     """Texels of the atlas at the side that photographs resolve.
 
-    Args:
-        solved: Scene under the chosen tone curve, its light, and specular material.
-        surface: Unwrapped mesh, unit frame, the tracer of that which light is solved on, its own.
-        capture: Photographs that take part. Those under another light than most must not: by their
-            shade the texture of all would be darker than the others are.
-        config: Sizes.
-        course: Of the stage's steps.
+    Of an unwrapped mesh, unit frame, with the tracer of the mesh for light and its own. `capture`
+    must lack photographs under another light: their shade would darken the texture of all.
     """
-    (problem, light, gloss), (mesh, tracer, own_tracer) = solved, surface
+    (problem, light, specular), (mesh, tracer, own_tracer) = solved, surface
     side = solved_side(config, mesh.cells)
     face, barycentric = rasterise_atlas(mesh, side)
     inside = face >= 0
@@ -105,7 +100,7 @@ def textured(
     start = Texture(
         problem=problem,
         light=light,
-        gloss=gloss,
+        specular=specular,
         mesh=mesh,
         tracer=tracer,
         own_tracer=own_tracer,
@@ -114,24 +109,28 @@ def textured(
         config=config,
         inside=inside,
         atlas=atlas,
-        values=texel_albedo(solved, texels, views, tracer, course),
-        course=course,
+        values=texel_albedo(solved, texels, views, tracer, pipeline),
+        pipeline=pipeline,
     )
-    return course.carry_out(TEXTURE, start)
+    return pipeline.run(TEXTURE, start)
 
 
-def _hear_photographs(state: Texture) -> Texture:
-    asset = Asset(problem=state.problem, light=state.light, gloss=state.gloss, values=state.values)
+def _check_photographs(state: Texture) -> Texture:
+    asset = Asset(
+        problem=state.problem, light=state.light, specular=state.specular, values=state.values
+    )
     position, normal = interpolate(state.mesh, *state.atlas)
     texels = Texels(position=position, normal=normal)
 
-    def read(gloss: Gloss) -> TexelAlbedo:
-        solved = (state.problem, state.light, gloss)
-        return texel_albedo(solved, texels, state.views, state.tracer, state.course)
+    def read(specular: SpecularMaterial) -> TexelAlbedo:
+        solved = (state.problem, state.light, specular)
+        return texel_albedo(solved, texels, state.views, state.tracer, state.pipeline)
 
-    jury = Jury(state.problem, texels, state.views, state.tracer)
-    word = heard(jury, asset, read, texels)
-    return replace(state, gloss=word.asset.gloss, values=word.asset.values, word=word)
+    check = PhotographCheck(state.problem, texels, state.views, state.tracer)
+    checked = check_asset(check, asset, read, texels)
+    return replace(
+        state, specular=checked.asset.specular, values=checked.asset.values, checked=checked
+    )
 
 
 def _refine_detail(state: Texture) -> Texture:
@@ -146,8 +145,8 @@ def _refine_detail(state: Texture) -> Texture:
     return replace(state, inside=inside, values=values)
 
 
-def _hold_to_known_paint(state: Texture) -> Texture:
-    known = state.problem.scene.known_paint
+def _hold_to_known_albedo(state: Texture) -> Texture:
+    known = state.problem.scene.known_albedo
     if known is None:
         return state
     off = known.off(state.values.albedo[known.texels(state.inside)])
@@ -164,7 +163,7 @@ TEXTURE: tuple[Step[Texture], ...] = (
         name="last-word",
         purpose="takes back, block by block, what shows photographs worse than their mean does",
         source="ours: no block of the surface may be worse than the mean by more than chance",
-        run=_hear_photographs,
+        run=_check_photographs,
     ),
     Step(
         name="detail",
@@ -176,7 +175,7 @@ TEXTURE: tuple[Step[Texture], ...] = (
         name="known-paint",
         purpose="makes a spot of known paint what it is, and the light as much dimmer",
         source="calibration by a known patch, as of a colour checker",
-        run=_hold_to_known_paint,
+        run=_hold_to_known_albedo,
         is_on_trial=False,
     ),
 )

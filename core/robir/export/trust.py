@@ -17,7 +17,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from robir.appearance.evidence.witness import BY_ALL, BY_PAINT
+from robir.appearance.evidence.estimate import BY_ALL, BY_KNOWN_ALBEDO
 from robir.capture.capture import Capture, View
 from robir.capture.checks.findings import clipped_share
 from robir.capture.images.loading import resize_view
@@ -236,9 +236,9 @@ def paint(evidence: list[dict[str, Any]]) -> dict[str, float]:
         Empty where no paint is known, or nothing else tells.
     """
     rows = {row["by"]: row for row in evidence if row["of"] == "level"}
-    if BY_PAINT not in rows or BY_ALL not in rows:
+    if BY_KNOWN_ALBEDO not in rows or BY_ALL not in rows:
         return {}
-    known, others = rows[BY_PAINT], rows[BY_ALL]
+    known, others = rows[BY_KNOWN_ALBEDO], rows[BY_ALL]
     error = float(np.hypot(known["deviation"], others["deviation"]))
     return {"paint": abs(known["value"] - others["value"]) / error}
 

@@ -25,7 +25,7 @@ from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.mesh.unwrap import unwrap
 from robir.geometry.rays import Photo, RaySampler, reduce_view
 from robir.geometry.selection import Dense, Selection
-from robir.steps import Course, Step
+from robir.steps import Pipeline, Step
 from robir.workers import side_by_side
 
 
@@ -236,14 +236,14 @@ class Levels:
         config: GeometryConfig,
         device: str,
         generator: torch.Generator,
-        course: Course,
+        pipeline: Pipeline,
     ) -> None:
         photos = side_by_side(lambda view: reduce_view(view, config.image_side), capture.train)
         self.sampler = RaySampler(photos, device, generator)
         hull = object_hull(capture, photos, config.hull_cells)
         start = Start(capture=capture, config=config, generator=generator, photos=photos, hull=hull)
-        self._course = course
-        start = course.carry_out(GROUND, start)
+        self._pipeline = pipeline
+        start = pipeline.run(GROUND, start)
         self.backdrop, self._hull = start.backdrop, start.hull
         by_masks = start.hull if start.backdrop is None else hull
         self.begun = Sampled(hull.lattice, start.distances)
@@ -268,7 +268,7 @@ class Levels:
             selection=self.selection,
             backdrop=self.backdrop,
         )
-        ended = self._course.carry_out(LEVEL, level)
+        ended = self._pipeline.run(LEVEL, level)
         self.backdrop = ended.backdrop
         return ended.has_ended
 
@@ -291,11 +291,11 @@ class Finishing:
 
 
 def finished(
-    dense: Dense, config: GeometryConfig, warn: Callable[[str], None], course: Course
+    dense: Dense, config: GeometryConfig, warn: Callable[[str], None], pipeline: Pipeline
 ) -> Mesh:
     """The unwrapped mesh of an extracted surface."""
     start = Finishing(dense=dense, mesh=dense.mesh, config=config, warn=warn)
-    return course.carry_out(FINISHING, start).mesh
+    return pipeline.run(FINISHING, start).mesh
 
 
 FINISHING: tuple[Step[Finishing], ...] = (

@@ -27,7 +27,7 @@ from robir.geometry.selection import FIELD, Dense, refined, smooth_surface
 from robir.jobs.choice import Choice
 from robir.jobs.context import Reporter, StageContext
 from robir.jobs.paths import of_tile, replacing, write_json
-from robir.steps import Course, Step, check_left_out
+from robir.steps import Pipeline, Step, check_left_out
 
 REVISION = 43
 """Raised whenever the same input gives another result."""
@@ -112,7 +112,7 @@ class Surface:
         mesh: Unwrapped, unit frame.
         metrics: For the stage's manifest.
         choices: What was chosen, for the report.
-        steps: Which steps changed nothing, and what each cost, as `Course.plain` has it.
+        steps: Which steps changed nothing, and what each cost, as `Pipeline.plain` has it.
         ground: The flat ground that the mesh shows too; None where it shows none.
     """
 
@@ -145,10 +145,10 @@ def reconstruct(
             "at least 3, and about 20 for a good surface."
         )
     reporter.progress(0.0, "carving the visual hull")
-    course = Course(config.without)
-    capture = course.carry_out(EVENING, capture)
+    pipeline = Pipeline(config.without)
+    capture = pipeline.run(EVENING, capture)
     generator = torch.Generator().manual_seed(seed)
-    levels = Levels(capture, config, device, generator, course)
+    levels = Levels(capture, config, device, generator, pipeline)
 
     def progress(share: float, present: Present) -> None:
         reporter.progress(0.03 + 0.82 * share, "fitting the surface")
@@ -167,7 +167,7 @@ def reconstruct(
         reporter.progress(0.86, "cleaning the mesh")
         surface = smooth_surface(Sampled(field.lattice, field.sdf))
         dense = Dense(surface, cell, config.face_budget)
-    mesh = finished(dense, config, reporter.warn, course)
+    mesh = finished(dense, config, reporter.warn, pipeline)
     backdrop = levels.backdrop if best is None else None
     metrics: dict[str, float | str] = {
         "faces": len(mesh.faces),
@@ -180,6 +180,6 @@ def reconstruct(
         mesh=mesh,
         metrics=metrics,
         choices=levels.selection.choices,
-        steps=course.plain(STEPS),
+        steps=pipeline.plain(STEPS),
         ground=None if backdrop is None else backdrop.ground.columns.plane,
     )

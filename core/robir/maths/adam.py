@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Adam over a handful of tensors, each with a rate of its own.
 
-`torch.optim.adam` holds the step. Its class around that step loads torch's compiler, seconds of
-processor time that a fit of two minutes has no use for, and knows no way to exchange a tensor.
+By the step of `torch.optim.adam`, whose class loads torch's compiler and cannot exchange a tensor.
 """
 
 from __future__ import annotations
@@ -17,9 +16,7 @@ from torch.optim.adam import adam
 class Adam:
     """Kingma and Ba 2015, "Adam: a method for stochastic optimization", algorithm 1.
 
-    Args:
-        parameters: Leaves that require gradients.
-        betas: Decay of the first and of the second moment.
+    `betas` are the decays of the first and of the second moment.
     """
 
     def __init__(self, parameters: Sequence[Tensor], betas: tuple[float, float]) -> None:
@@ -30,12 +27,9 @@ class Adam:
         self._taken = [torch.zeros((), device=values.device) for values in parameters]
 
     def replace(self, index: int, values: Tensor, old_rows: Tensor) -> None:
-        """Exchange a parameter for one with other rows; moments go along.
+        """Exchange parameter `index` for one with other rows, whose moments go along.
 
-        Args:
-            index: Which parameter.
-            values: The new leaf.
-            old_rows: (N,) row of the old leaf that each new row was, 0 for rows without a past.
+        `old_rows` (N,) is the old row of each new one, 0 for rows without a past.
         """
         fresh = (old_rows == 0).view(-1, *[1] * (values.ndim - 1))
         for moments in (self._first, self._second):
@@ -44,11 +38,7 @@ class Adam:
 
     @torch.no_grad()
     def step(self, rates: Sequence[float]) -> None:
-        """Move every parameter by its gradient at its rate, and forget the gradients.
-
-        Args:
-            rates: A learning rate a parameter; parameters of one rate are best given in a row.
-        """
+        """Move every parameter by its gradient at its rate, and forget the gradients."""
         begin = 0
         for end in range(1, len(rates) + 1):
             if end < len(rates) and rates[end] == rates[begin]:

@@ -3,11 +3,8 @@
 
 Sky, sun, lamps and fire differ by how blue or orange they are; green or magenta light is rare
 (Judd, MacAdam and Wyszecki 1964, "Spectral distribution of typical daylight as a function of
-correlated color temperature"). What a light is not, paint is: a shade that is greener than what is
-lit is a greener paint.
-
-Figures are of twelve measured environments (four of Poly Haven, eight that Blender ships), their
-suns what is over ten times as bright as the mean.
+correlated color temperature"). Figures are of twelve measured environments; suns are what is over
+ten times as bright as the mean.
 """
 
 from __future__ import annotations
@@ -28,8 +25,7 @@ class HueSpread:
 
     Attributes:
         blue: Of the blueness, log of blue over red.
-        green: Of the greenness, log of green over the geometric mean of both, where that is more
-            than daylight as blue has.
+        green: Of the greenness beyond daylight's, log of green over the geometric mean of both.
     """
 
     blue: float

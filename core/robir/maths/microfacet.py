@@ -69,17 +69,10 @@ def schlick_fresnel(cosine: Tensor, f0: Tensor) -> Tensor:
 def specular_brdf(
     light_dir: Tensor, view_dir: Tensor, normal: Tensor, roughness: Tensor, f0: Tensor
 ) -> Tensor:
-    """GGX reflection per steradian, without the cosine of the light.
+    """GGX reflection (..., C) per steradian, without the cosine of the light.
 
-    Args:
-        light_dir: (..., 3).
-        view_dir: (..., 3).
-        normal: (..., 3).
-        roughness: (...), 0 to 1, as in Blender.
-        f0: (..., C), reflectance at normal incidence, 0 to 1.
-
-    Returns:
-        (..., C); 0 where the light or the camera is below the surface.
+    Of directions and normals (..., 3), roughness (...) in 0..1 and reflectance at normal incidence
+    f0 (..., C); 0 where the light or the camera is below the surface.
     """
     half = normalise(light_dir + view_dir)
     cosine_light, cosine_view = dot(normal, light_dir), dot(normal, view_dir)
@@ -94,19 +87,10 @@ def specular_brdf(
 
 
 def environment_brdf(cosine_view: Tensor, roughness: Tensor) -> tuple[Tensor, Tensor]:
-    """Reflectance under uniform light, split as f0 * scale + bias.
+    """Reflectance under uniform light, split as f0 * scale + bias; their sum is at most 1.
 
-    From a 33 x 33 table; within 0.003 of the integral of f_s n.i over the hemisphere.
-
-    Args:
-        cosine_view: n.o, broadcasts with roughness; clamped to 0..1.
-        roughness: 0 to 1.
-
-    Returns:
-        Scale and bias, each at least 0, their sum at most 1.
-
-    References:
-        Karis, Real Shading in Unreal Engine 4, SIGGRAPH course 2013.
+    By cosines n.o and roughness that broadcast, from a 33 x 33 table within 0.003 of the integral
+    of f_s n.i (Karis, Real Shading in Unreal Engine 4, SIGGRAPH course 2013).
     """
     table = _environment_table().to(cosine_view)
     cosine_view, roughness = torch.broadcast_tensors(cosine_view, roughness)
@@ -124,10 +108,9 @@ def environment_brdf(cosine_view: Tensor, roughness: Tensor) -> tuple[Tensor, Te
 
 @functools.cache
 def _environment_table() -> Tensor:
-    """Scale and bias (roughness, sqrt cosine, 2) by stratified samples of the visible normals.
+    """Scale and bias (roughness, sqrt cosine, 2) by samples of the visible normals.
 
-    References:
-        Heitz, Sampling the GGX Distribution of Visible Normals, JCGT 7(4), 2018, listing 1.
+    Heitz, Sampling the GGX Distribution of Visible Normals, JCGT 7(4), 2018, listing 1.
     """
     stratum = (torch.arange(_TABLE_STRATA, dtype=torch.float64) + 0.5) / _TABLE_STRATA
     u1, u2 = (grid.reshape(-1) for grid in torch.meshgrid(stratum, stratum, indexing="ij"))

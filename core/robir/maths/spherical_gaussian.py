@@ -94,20 +94,12 @@ def mean_cosine(sharpness: Tensor) -> Tensor:
 
 
 def cosine_shares(sharpness: Tensor, cosine: Tensor) -> Tensor:
-    """Irradiance of a lobe on a surface, as a share of the lobe's integral; 0 to 1.
+    """Irradiance of a lobe on a surface, as a share of the lobe's integral; differentiable.
 
-    The height t = w . n is taken as normally distributed, with the lobe's exact mean, and its exact
-    variance scaled so that the share is exact at a grazing axis (I1(s) / (2 sinh s)); an even term
-    in the cosine makes it exact at the zenith and the nadir. Mean of max(t, 0) for a normal t:
-    m Phi(m / d) + d phi(m / d). Off by at most 0.8 % of the lobe's integral, for any sharpness, and
-    without a cut at the horizon.
-
-    Args:
-        sharpness: Above 0; broadcasts with cosine.
-        cosine: Axis times normal, -1 to 1.
-
-    Returns:
-        Share, at least 0; differentiable in both.
+    The height w . n is taken as normal, with the lobe's exact mean, and its variance scaled so that
+    the share is exact at a grazing axis (I1(s) / (2 sinh s)); an even term in the cosine makes it
+    exact at zenith and nadir. Off by at most 0.8 % of the integral. Sharpness and cosine, axis
+    times normal, broadcast.
     """
     mean_length = mean_cosine(sharpness)
     full = -torch.expm1(-2.0 * sharpness)
@@ -132,34 +124,19 @@ def cosine_shares(sharpness: Tensor, cosine: Tensor) -> Tensor:
 
 
 def irradiance(lobes: SphericalGaussians, normal: Tensor) -> Tensor:
-    """Irradiance of every lobe on surfaces, without occlusion.
+    """Irradiance (..., K, C) of every lobe on normals (..., 3), unit, without occlusion.
 
     The integral of the lobe times max(w . n, 0); see cosine_shares for the error.
-
-    Args:
-        lobes: K lobes.
-        normal: (..., 3), unit, world.
-
-    Returns:
-        (..., K, C), radiance times steradian, lobes kept apart.
     """
     shares = cosine_shares(lobes.sharpness, normal @ lobes.axis.transpose(-1, -2))
     return shares[..., None] * integral(lobes)
 
 
 def to_equirect(lobes: SphericalGaussians, height: int) -> Tensor:
-    """Lat-long map of the mixture, in Blender's World frame, with every lobe's energy kept.
+    """Lat-long map (H, 2H, C), linear, in Blender's World frame, row 0 at +Z.
 
-    Wide lobes are sampled at pixel centres, sharp ones at 4 x 4 points a pixel; then each lobe is
-    scaled so that the sum of radiance times solid angle is its integral. A lobe that falls between
-    all points goes to the nearest.
-
-    Args:
-        lobes: K lobes.
-        height: H, rows of the map.
-
-    Returns:
-        (H, 2H, C), linear, row 0 is +Z.
+    Wide lobes are sampled at pixel centres, sharp ones at 4 x 4 points a pixel; each is scaled to
+    its integral. A lobe that falls between all points goes to the nearest.
     """
     image = lobes.axis.new_zeros(height, 2 * height, lobes.amplitude.shape[-1])
     for axis, sharpness, energy in zip(lobes.axis, lobes.sharpness, integral(lobes), strict=True):
@@ -171,16 +148,9 @@ def to_equirect(lobes: SphericalGaussians, height: int) -> Tensor:
 
 
 def _splatted(axis: Tensor, sharpness: Tensor, height: int, parts: int) -> tuple[slice, Tensor]:
-    """Shares of a lobe's integral that the pixels of a map hold.
+    """Rows that a lobe reaches in a map, and its integral's share (rows, 2H) in each pixel.
 
-    Args:
-        axis: (3,) of the lobe.
-        sharpness: Of the lobe.
-        height: H, rows of the map.
-        parts: Points a pixel along either axis.
-
-    Returns:
-        The rows it reaches, and the share (rows, 2H) of each of their pixels.
+    By so many parts a pixel along either axis; the axis is (3,).
     """
     fine = height * parts
     # beyond this angle the lobe is less than the smallest float32

@@ -50,13 +50,9 @@ class StandardToneCurve(AbstractToneCurve):
 class CameraToneCurve(AbstractToneCurve):
     """What a camera does: the mean of 201 measured responses, per channel, clipped at 1.
 
-    display = x^q(x), q(x) = 0.665 - 1.123 x + 1.632 x^2 - 0.896 x^3: our fit to the published mean,
-    within 0.002 of it, in the form of Ng, Chang and Lin (CVPR 2007). Photographs of cameras have
-    more contrast than the sRGB transfer function gives: dark parts are darker, bright ones
-    brighter.
-
-    References:
-        Grossberg and Nayar, "Modeling the Space of Camera Response Functions", PAMI 2004.
+    display = x^q(x), q(x) = 0.665 - 1.123 x + 1.632 x^2 - 0.896 x^3: our fit, within 0.002, to the
+    mean of Grossberg and Nayar, "Modeling the Space of Camera Response Functions", PAMI 2004, in
+    the form of Ng, Chang and Lin (CVPR 2007).
     """
 
     name = "camera"
@@ -110,10 +106,9 @@ class CameraToneCurve(AbstractToneCurve):
 
 
 class LogToneCurve(AbstractToneCurve):
-    """Sigmoid of log radiance, per channel: display = x / (x + m), no renderer's or camera's.
+    """Sigmoid of log radiance, per channel: display = x / (x + m); for comparisons only.
 
-    The generic curve that methods take which know nothing of the camera; m puts mid-grey, 0.18, at
-    its sRGB code. For comparisons only.
+    m puts mid-grey, 0.18, at its sRGB code.
     """
 
     name = "log"
@@ -140,13 +135,11 @@ class AcesToneCurve(AbstractToneCurve):
     """RobIR's scene-specific ACES fit, per channel, followed by the power 1 / 2.2.
 
     display = min(g^-0.2 F(e), 1)^(1/2.2) with F(e) = e (2.51 e + 0.03) / (e (2.43 e + 0.59) + 0.14)
-    and one scalar g. The inverse is the positive root of the quadratic.
+    (Narkowicz 2015) and one scalar g: RobIR (NeurIPS 2024) Eq. 6-8. The inverse is the positive
+    root.
 
     Attributes:
         tone_gamma: g, scalar tensor in (0, 1]; may require gradients.
-
-    References:
-        RobIR (NeurIPS 2024) Eq. 6-8; the fit is Narkowicz 2015.
     """
 
     name = "robir_aces"
@@ -205,15 +198,12 @@ class AcesToneCurve(AbstractToneCurve):
 
 
 class KhronosNeutralToneCurve(AbstractToneCurve):
-    """Blender's Khronos PBR Neutral: the published formula at 57^3 nodes, interpolated as Blender.
+    """Blender's Khronos PBR Neutral: the formula at 57^3 nodes, interpolated as Blender does.
 
     With x = min(rgb), o = x - 6.25 x^2 for x < 0.08 else 0.04, and p = max(rgb) - o, a peak p from
-    0.76 on is compressed to q = 1 - 0.24^2 / (p - 0.52), and the colour is mixed towards q by
-    1 - 1 / (0.15 (p - q) + 1). Interpolation moves single codes by up to 0.03, so the inverse
-    corrects the closed form by evaluating it. The darkest inverse is 2^-9, which stands for black.
-
-    References:
-        Khronos PBR Neutral Tone Mapper specification, 2024.
+    0.76 on is compressed to q = 1 - 0.24^2 / (p - 0.52), and the colour is mixed towards q by 1 - 1
+    / (0.15 (p - q) + 1) (Khronos PBR Neutral Tone Mapper specification, 2024). The inverse corrects
+    the closed form by evaluating it; its darkest value 2^-9 stands for black.
     """
 
     name = "khronos_pbr_neutral"

@@ -1,10 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A tone curve followed by a power of the display code: photographs that were re-toned afterwards.
+"""A tone curve followed by a power of the display code, display = F(linear)^p.
 
-    display = F(linear)^p
-
-p below 1 lifts the darks, p above 1 deepens them; p = 1 is the curve itself. Blender shows it by
-the curve's own view transform with the view setting "Gamma" at 1 / p.
+p below 1 lifts the darks. Blender shows it by the curve's own view transform and "Gamma" 1 / p.
 """
 
 from __future__ import annotations

@@ -83,10 +83,9 @@ class FilmicToneCurve(AbstractToneCurve):
 class AgxToneCurve(AbstractToneCurve):
     """Blender's AgX: logarithms in wide primaries, a 3-D table, tetrahedral interpolation.
 
-    The inverse starts from a fitted table in coordinates where AgX is almost per channel, and takes
-    damped Newton steps on the forward table: codes come back within 0.0016, above linear 4 within
-    0.012 where a channel has all but run into white. Codes that AgX cannot show take about five
-    times as long as others. The table's values are called code: display light to the power 1 / 2.4.
+    The inverse starts from a fitted table and takes damped Newton steps on the forward table: codes
+    come back within 0.0016, above linear 4 within 0.012 where a channel has all but run into white.
+    The table's values are called code: display light to the power 1 / 2.4.
     """
 
     name = "agx"

@@ -137,17 +137,7 @@ class Transport:
 
 
 def bake(mesh: Mesh, views: tuple[View, ...], config: TransportConfig, seed: int) -> Transport:
-    """Sample a mesh, trace what its samples see and read them from the photographs.
-
-    Args:
-        mesh: Unit frame.
-        views: Training views, unit frame.
-        config: Sizes.
-        seed: Of the surface samples.
-
-    Returns:
-        The transport.
-    """
+    """Sample a mesh, unit frame, trace what its samples see and read them from photographs."""
     tracer = EmbreeTracer(mesh.vertices, mesh.faces)
     chosen = resize_views(spread_views(views, config.max_views), config.observation_side)
     surfels, observations = _seen_surfels(tracer, mesh, chosen, config, seed)

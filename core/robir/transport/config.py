@@ -15,8 +15,8 @@ class TransportConfig:
     Attributes:
         num_surfels: Surface samples, spread evenly over what the cameras see.
         num_directions: Directions of the full sphere in which visibility is traced.
-        observation_side: Longest side in pixels of the photographs that the surfels are read from;
-            a surfel is about as large as such a pixel.
+        observation_side: Longest side of the photographs that surfels are read from, pixels; a
+            surfel is about as large as such a pixel.
         max_views: Views that are read, spread evenly over the capture.
         use_visibility: Whether surfaces block light; off only for ablation.
         use_indirect: Whether light that bounced once is counted; off only for ablation.

@@ -74,15 +74,7 @@ class Observations:
 
 
 def spread_views(views: tuple[View, ...], count: int) -> tuple[View, ...]:
-    """At most `count` views, chosen so that their camera positions lie far apart.
-
-    Args:
-        views: All views.
-        count: How many to keep.
-
-    Returns:
-        The chosen views in their old order.
-    """
+    """At most `count` views whose cameras lie far apart, in their old order."""
     positions = np.stack([view.camera.position for view in views])
     return tuple(views[index] for index in farthest_points(positions, count))
 
@@ -94,20 +86,10 @@ def observe(
     views: tuple[View, ...],
     offset: float,
 ) -> Observations:
-    """Read every point in every view that sees it.
+    """Read points (N, 3), with unit normals, in every view that sees them.
 
-    A view counts where the point faces it, nothing lies between, and all four pixels around its
-    projection are object and away from outlines of nearer parts.
-
-    Args:
-        tracer: Tracer of the mesh.
-        position: (N, 3), frame of the views' cameras.
-        normal: (N, 3), unit.
-        views: Photographs.
-        offset: Distance that rays start above the surface.
-
-    Returns:
-        The observations.
+    A view counts where the point faces it, nothing lies between (rays start at `offset` above the
+    surface), and all four pixels about its projection are object and away from nearer outlines.
     """
     count = len(position)
     display = np.zeros((count, len(views), 3), np.uint8)
@@ -154,18 +136,10 @@ def off_axis_codes(camera: Camera, pixels: NDArray[np.float64]) -> NDArray[np.ui
 
 
 def clean_pixels(tracer: EmbreeTracer, view: View) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
-    """Object pixels that no outline of a nearer part runs through, and what they see.
+    """Object pixels (H, W) that no nearer outline runs through, and inverse depths (H, W).
 
-    The inverse of depth is linear across the image of a plane, so its second difference marks
-    jumps of depth and leaves slanted planes and creases alone.
-
-    Args:
-        tracer: Tracer of the mesh.
-        view: Photograph.
-
-    Returns:
-        (H, W) bool, and (H, W) the inverse of the surface's depth along the viewing direction, 0
-        where there is none.
+    The inverse of depth is linear across the image of a plane, so its second difference marks jumps
+    of depth only. It is 0 where there is no surface.
     """
     inside = view.mask > MASK_INSIDE
     rows, columns = np.nonzero(inside)
@@ -186,11 +160,7 @@ def clean_pixels(tracer: EmbreeTracer, view: View) -> tuple[NDArray[np.bool_], N
 def _pixels_about(
     camera: Camera, places: NDArray[np.float64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
-    """The four pixels whose centres surround places (N, 2) in a picture.
-
-    Returns:
-        Their rows (N, 4), columns (N, 4), and what each counts in a bilinear reading, (N, 4).
-    """
+    """Rows, columns and bilinear shares (N, 4) of the pixels about places (N, 2)."""
     last = [camera.width - 2, camera.height - 2]
     low: NDArray[np.int64] = np.clip(np.floor(places - 0.5), 0, last).astype(np.int64)
     right, down = np.clip(places - 0.5 - low, 0, 1).T

@@ -18,13 +18,7 @@ REVISION = 5
 
 
 def run(context: StageContext[TransportConfig]) -> dict[str, Any]:
-    """Bake visibility, the one-bounce matrix and the samples' observations.
-
-    Args:
-        context: Paths and settings.
-
-    Returns:
-        Counts for the manifest.
+    """Bake visibility, the one-bounce matrix and observations; counts for the manifest.
 
     Raises:
         CaptureError: If hardly any surface is seen by the cameras.

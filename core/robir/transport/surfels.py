@@ -46,16 +46,7 @@ class Surfels:
         return Surfels(position=self.position[keep], normal=self.normal[keep], spacing=self.spacing)
 
     def nearest(self, position: Floats, normal: Floats, count: int = 1) -> NDArray[np.int64]:
-        """Nearest samples in position and orientation.
-
-        Args:
-            position: (N, 3), unit frame.
-            normal: (N, 3), unit.
-            count: How many neighbours.
-
-        Returns:
-            (N,) indices, or (N, count) when more than one is asked for.
-        """
+        """Indices (N,), or (N, count), of the samples nearest in position and orientation."""
         scale = NORMAL_REACH / 2
         tree = cKDTree(np.concatenate([self.position, scale * self.normal], axis=1))
         query = np.concatenate([position, scale * normal], axis=1)
@@ -78,16 +69,7 @@ class Surfels:
 
 
 def interpolate(mesh: Mesh, face: NDArray[np.int32], barycentric: Floats) -> tuple[Floats, Floats]:
-    """Position and smooth unit normal at points of the mesh.
-
-    Args:
-        mesh: The mesh.
-        face: (N,) face indices.
-        barycentric: (N, 3) corner weights.
-
-    Returns:
-        Positions (N, 3) and normals (N, 3).
-    """
+    """Positions and smooth unit normals (N, 3) at points of faces (N,)."""
     corners = mesh.faces[face]
     position = np.einsum("nc,ncd->nd", barycentric, mesh.vertices[corners])
     normal = np.einsum("nc,ncd->nd", barycentric, mesh.normals[corners])
@@ -96,18 +78,10 @@ def interpolate(mesh: Mesh, face: NDArray[np.int32], barycentric: Floats) -> tup
 
 
 def sample_surfels(mesh: Mesh, count: int, rng: np.random.Generator) -> Surfels:
-    """Samples spread evenly over a mesh, by area.
+    """About `count` samples spread evenly over a mesh, unit frame, by area.
 
-    Many uniform samples are drawn, binned by position and orientation, and the one nearest to its
-    bin's mean is kept: cheap and close enough to blue noise for smooth transport.
-
-    Args:
-        mesh: Unit frame.
-        count: Wanted number; the result has about as many.
-        rng: Source of randomness.
-
-    Returns:
-        The samples.
+    Many uniform samples are drawn and binned by position and orientation; the one nearest to its
+    bin's mean is kept, which is close to blue noise.
     """
     corners = mesh.vertices[mesh.faces].astype(np.float64)
     doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

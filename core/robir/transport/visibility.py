@@ -61,18 +61,7 @@ class Visibility:
 def trace_visibility(
     mesh: Mesh, tracer: EmbreeTracer, surfels: Surfels, directions: Floats, offset: float
 ) -> Visibility:
-    """Trace every direction above every sample's horizon.
-
-    Args:
-        mesh: Unit frame.
-        tracer: Tracer of the same mesh.
-        surfels: Samples.
-        directions: (D, 3), unit, evenly spread over the sphere.
-        offset: Distance that rays start above the surface.
-
-    Returns:
-        Bits and one-bounce matrix.
-    """
+    """Trace unit directions (D, 3) above every sample's horizon: bits and one-bounce matrix."""
     num_surfels, num_directions = len(surfels), len(directions)
     weight = 4 * np.pi / num_directions
     seen = np.zeros((num_surfels, num_directions), bool)

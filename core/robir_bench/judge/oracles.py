@@ -28,9 +28,9 @@ from skimage.transform import resize_local_mean
 
 from robir.appearance.light.lobes import Amplitudes, lobes_of, log_sent, soft_lobes
 from robir.appearance.light.solver import Light
-from robir.appearance.material.gloss import retold
 from robir.appearance.material.metal import SOLVED_WITHOUT
-from robir.appearance.smooth_normals import Surface
+from robir.appearance.material.specular import with_material
+from robir.appearance.smooth_normals import LitSurface
 from robir.appearance.solution import Solution
 from robir.capture.store import load_settled
 from robir.errors import UsageError
@@ -60,7 +60,7 @@ _SPOT = 5.0
 _ROWS = 32
 """Rows of the map by which the sky's lobes are fitted."""
 
-_SURE = 0.01
+_CERTAIN = 0.01
 """Error of a level that is told, natural logarithm."""
 
 _LEAST_RADIUS = 0.5
@@ -91,7 +91,7 @@ def mesh_of(name: str, capture: Path) -> Path | None:
     return capture / "truth" / "mesh.ply" if name == "surface" else None
 
 
-def is_told_by_step(name: str) -> bool:
+def is_set_after_step(name: str) -> bool:
     """Whether a quantity is put right after the step that estimates it."""
     return name in _CORRECTIONS
 
@@ -179,7 +179,7 @@ class Oracle:
         bounds = load_settled(JobPaths(self._out)).bounds
         return ((points - bounds.centre) / bounds.radius).astype(np.float32)
 
-    def normals(self, state: Surface) -> Surface:
+    def normals(self, state: LitSurface) -> LitSurface:
         """True normals of samples and vertices, from the nearest place on the true mesh."""
         truth, mesh, surfels = self._truth, state.mesh, state.transport.surfels
         corners = truth.vertices[truth.faces]
@@ -208,35 +208,39 @@ class Oracle:
 
     def metal(self, state: Solution) -> Solution:
         """Where metal is, and its base colour."""
-        known, nearest, told = self._points(state)
-        gloss = state.material
-        metallic = np.where(told, known.metallic[nearest] > 0.5, gloss.metallic > 0.5)
-        base = np.where(told[:, None], known.albedo[nearest], gloss.metal).astype(np.float32)
-        is_new = metallic & (gloss.metallic < 0.5) & ~gloss.has_highlights
-        roughness = np.where(is_new, known.roughness[nearest], gloss.roughness)
+        known, nearest, known_here = self._points(state)
+        specular = state.material
+        metallic = np.where(known_here, known.metallic[nearest] > 0.5, specular.metallic > 0.5)
+        base = np.where(known_here[:, None], known.albedo[nearest], specular.metal).astype(
+            np.float32
+        )
+        is_new = metallic & (specular.metallic < 0.5) & ~specular.has_highlights
+        roughness = np.where(is_new, known.roughness[nearest], specular.roughness)
         return self._with(state, roughness, metallic, base)
 
     def roughness(self, state: Solution) -> Solution:
         """How rough everything is; all of it then has a specular layer, as it does in Blender."""
-        known, nearest, told = self._points(state)
-        gloss = state.material
-        roughness = np.where(told, known.roughness[nearest], gloss.roughness)
-        state = replace(state, gloss=replace(gloss, has_highlights=True))
+        known, nearest, known_here = self._points(state)
+        specular = state.material
+        roughness = np.where(known_here, known.roughness[nearest], specular.roughness)
+        state = replace(state, specular=replace(specular, has_highlights=True))
         # whole steps: each roughness is a table of its own
-        return self._with(state, np.round(roughness * 20) / 20, gloss.metallic > 0.5, gloss.metal)
+        return self._with(
+            state, np.round(roughness * 20) / 20, specular.metallic > 0.5, specular.metal
+        )
 
     def _with(
         self, state: Solution, roughness: Any, metallic: NDArray[np.bool_], base: Floats
     ) -> Solution:
         """The solution with another specular material, taken out of what it is solved by."""
         problem, every = state.problem, np.ones(len(metallic), bool)
-        told = roughness.astype(np.float32).clip(0.05, 1), metallic.astype(np.float32)
-        gloss, diffuse = retold(problem, state.light, state.material, every, told)
+        material = roughness.astype(np.float32).clip(0.05, 1), metallic.astype(np.float32)
+        specular, diffuse = with_material(problem, state.light, state.material, every, material)
         matte, rows = problem.without_highlights(diffuse), problem.scene.rows
-        paint = gloss.solved_by(rows, SOLVED_WITHOUT)
-        if len(paint) < len(rows):
-            matte = matte.by_samples(paint, np.random.default_rng(state.seed))
-        return replace(state, gloss=replace(gloss, metal=base), matte=matte)
+        dielectric = specular.solved_by(rows, SOLVED_WITHOUT)
+        if len(dielectric) < len(rows):
+            matte = matte.by_samples(dielectric, np.random.default_rng(state.seed))
+        return replace(state, specular=replace(specular, metal=base), matte=matte)
 
     def level(self, state: Solution) -> Solution:
         """How bright the light is as a whole."""
@@ -249,8 +253,8 @@ class Oracle:
         off = level_and_hue(ours, true, normals)["level_log_error"]
         irradiance = light.irradiance(state.matte, rows)
         sent = log_sent(irradiance, state.matte.indirect[rows])
-        told = replace(state.told, level=float(sent.mean()) - off, level_error=_SURE)
-        return replace(state, told=told)
+        prior = replace(state.prior, level=float(sent.mean()) - off, level_error=_CERTAIN)
+        return replace(state, prior=prior)
 
     def light(self, state: Solution) -> Solution:
         """The whole light: the map as soft lobes, lamps and the map's spot as suns."""

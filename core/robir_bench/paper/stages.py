@@ -26,7 +26,7 @@ from robir.geometry.mesh.unwrap import rasterise_atlas
 from robir.geometry.pipeline import finished
 from robir.geometry.selection import Dense, smooth_surface
 from robir.jobs.paths import JobPaths, replacing, write_json
-from robir.steps import Course
+from robir.steps import Pipeline
 from robir.transport.observe import observe
 from robir.transport.surfels import interpolate
 from robir_bench.paper.appearance import Fitter, Model, render_display
@@ -93,7 +93,7 @@ def run_geometry(job: Job, config: GeometryConfig) -> None:
     lattice, values = on_lattice(field.sdf, job.config.neus.cells)
     surface = smooth_surface(Sampled(lattice, values))
     dense = Dense(surface, lattice.cell, config.face_budget)
-    mesh = finished(dense, config, lambda _: None, Course())
+    mesh = finished(dense, config, lambda _: None, Pipeline())
     folder = _folder(job, "geometry")
     mesh.save(folder / "mesh.npz")
     _save_networks(folder / _NETWORKS, field.modules())

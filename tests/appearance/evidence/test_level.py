@@ -14,17 +14,17 @@ from robir.appearance.config import AppearanceConfig
 from robir.appearance.evidence.level import (
     _EXCESS,
     _EXPOSURE,
-    _PAINT,
+    _LOG_ALBEDO,
+    albedo_prior,
+    exposure_prior,
+    level_estimates,
     log_factors,
-    told_level,
-    usual_exposure,
-    usual_paint,
 )
 from robir.appearance.light.lobes import log_sent
+from robir.appearance.light.prior import LightPrior
 from robir.appearance.light.problem import make_problem
 from robir.appearance.light.solver import refit
-from robir.appearance.light.told import Told
-from robir.appearance.material.gloss import estimate_gloss
+from robir.appearance.material.specular import estimate_specular
 from robir.maths.tone import curve_from_name
 
 CONFIG = AppearanceConfig()
@@ -47,9 +47,9 @@ def level_of(problem, light):
     return float(log_sent(light.irradiance(problem, rows), problem.indirect[rows]).mean())
 
 
-def witnesses_of(problem, light, gloss):
+def witnesses_of(problem, light, specular):
     """What each tells, by its name."""
-    return {told.by: told for told in told_level(problem, light, gloss, problem.scene.rows)}
+    return {told.by: told for told in level_estimates(problem, light, specular, problem.scene.rows)}
 
 
 def test_what_both_tell_is_the_same_wherever_one_starts(ball):
@@ -57,38 +57,38 @@ def test_what_both_tell_is_the_same_wherever_one_starts(ball):
     told = []
     for wrong in (-0.8, 0.0, 0.8):
         supposed = light.tinted(torch.full((3,), wrong))
-        gloss, _ = estimate_gloss(problem, supposed, 2, 0)
-        told.append(witnesses_of(problem, supposed, gloss)["all"].value)
+        specular, _ = estimate_specular(problem, supposed, 2, 0)
+        told.append(witnesses_of(problem, supposed, specular)["all"].value)
     assert np.ptp(told) < 0.1
 
 
 def test_without_paint_no_brightness_is_told(ball):
     problem, light = ball
-    gloss, _ = estimate_gloss(problem, light, 2, 0)
-    all_metal = replace(gloss, metallic=np.ones_like(gloss.metallic))
-    assert told_level(problem, light, all_metal, problem.scene.rows) == ()
+    specular, _ = estimate_specular(problem, light, 2, 0)
+    all_metal = replace(specular, metallic=np.ones_like(specular.metallic))
+    assert level_estimates(problem, light, all_metal, problem.scene.rows) == ()
 
 
-def mean_of(log_likely):
+def mean_of(log_likelihood):
     """Mean log factor."""
-    likely = np.exp(log_likely - log_likely.max())
+    likely = np.exp(log_likelihood - log_likelihood.max())
     return float(likely @ FACTORS / likely.sum())
 
 
 def test_without_other_evidence_paints_are_common_ones():
-    common = np.exp(_PAINT)
+    common = np.exp(_LOG_ALBEDO)
     shares = np.array([0.6 * common, common, 3 * common])
-    told = [mean_of(usual_paint(np.log(np.full((1000, 3), share)))) for share in shares]
+    told = [mean_of(albedo_prior(np.log(np.full((1000, 3), share)))) for share in shares]
     assert told == pytest.approx(np.log(shares / common), abs=0.03)
     # what seems to return more than it receives bounds the light from below
     some = np.log(np.full((1000, 3), common))
     some[:50] = 1.0
-    assert mean_of(usual_paint(some)) > 1.0 - 2 * _EXCESS
+    assert mean_of(albedo_prior(some)) > 1.0 - 2 * _EXCESS
 
 
 def test_without_other_evidence_white_paint_is_exposed_as_is_common():
     for white in (-1.0, 0.5):
-        told = mean_of(usual_exposure(np.log(np.pi) + _EXPOSURE + white))
+        told = mean_of(exposure_prior(np.log(np.pi) + _EXPOSURE + white))
         assert told == pytest.approx(-white, abs=0.03)
 
 
@@ -97,5 +97,5 @@ def test_the_light_is_as_bright_as_told(ball, level):
     problem, light = ball
     config = AppearanceConfig(iterations=160)
     wanted = level_of(problem, light) + level
-    found = refit(problem, light, Told(level=wanted, level_error=0.1), config)
+    found = refit(problem, light, LightPrior(level=wanted, level_error=0.1), config)
     assert level_of(problem, found) == pytest.approx(wanted, abs=0.03)

@@ -11,9 +11,9 @@ import torch
 from appearance import synthetic
 
 from robir.appearance.config import AppearanceConfig
-from robir.appearance.evidence.white_point import sent_by_paint
-from robir.appearance.light import known_paint
-from robir.appearance.light.known_paint import KnownPaint
+from robir.appearance.evidence.white_point import sent_by_known_albedo
+from robir.appearance.light import known_albedo
+from robir.appearance.light.known_albedo import KnownAlbedo
 from robir.appearance.light.lobes import log_sent
 from robir.appearance.light.problem import make_problem
 from robir.errors import ConfigError
@@ -38,7 +38,7 @@ def quad() -> Mesh:
 
 @pytest.mark.parametrize("texel", [(0.25, 0.125), (0.1, 0.45)])
 def test_a_texel_is_found_on_the_mesh(quad, texel):
-    known = KnownPaint.of(quad, (*texel, 0.5, 0.4, 0.3))
+    known = KnownAlbedo.of(quad, (*texel, 0.5, 0.4, 0.3))
     assert known is not None
     assert known.position == pytest.approx([2 * texel[0], 2 * texel[1], 3.0], abs=1e-5)
     assert known.normal == pytest.approx([0, 0, 1])
@@ -52,20 +52,20 @@ def test_a_texel_of_a_tile_is_found_in_the_cell_of_the_atlas(quad):
         uvs=np.float32([[0.5, 0], [1, 0], [1, 0.25], [0.5, 0.25]]),
         tiles=np.int32([1001, 1012]),
     )
-    known = KnownPaint.of(tiled, (1.25, 1.125, 0.5, 0.4, 0.3))
+    known = KnownAlbedo.of(tiled, (1.25, 1.125, 0.5, 0.4, 0.3))
     assert known.position == pytest.approx([0.5, 0.25, 3.0], abs=1e-5)
     assert known.texel == pytest.approx([0.625, 0.0625])
     with pytest.raises(ConfigError, match=r"coordinates 0\.25, 0\.125"):
-        KnownPaint.of(tiled, (0.25, 0.125, 0.5, 0.4, 0.3))
+        KnownAlbedo.of(tiled, (0.25, 0.125, 0.5, 0.4, 0.3))
 
 
 def test_a_texel_beside_the_object_is_refused(quad):
     with pytest.raises(ConfigError, match=r"no face has the texture coordinates 0\.5, 0\.75"):
-        KnownPaint.of(quad, (0.5, 0.75, 0.5, 0.5, 0.5))
+        KnownAlbedo.of(quad, (0.5, 0.75, 0.5, 0.5, 0.5))
 
 
 def test_the_texels_about_a_spot(quad):
-    known = KnownPaint.of(quad, (0.25, 0.125, 0.5, 0.5, 0.5))
+    known = KnownAlbedo.of(quad, (0.25, 0.125, 0.5, 0.5, 0.5))
     inside = np.zeros((8, 8), bool)
     inside[4:] = True
     # u .25 and v .125 of 8 texels: between columns 1 and 2, rows 6 and 7, counted from row 4
@@ -89,13 +89,13 @@ def test_known_paint_tells_level_and_hue(paint):
     wanted = log_sent(light.irradiance(problem, rows), problem.indirect[rows])
     for wrong in ([0.0, 0.0, 0.0], [0.8, 0.75, 0.85], [-1.0, -0.95, -0.9]):
         supposed = light.tinted(torch.tensor(wrong))
-        assert sent_by_paint(problem, supposed, known) == pytest.approx(wanted, abs=0.05)
+        assert sent_by_known_albedo(problem, supposed, known) == pytest.approx(wanted, abs=0.05)
 
 
 def spot_of(*albedo):
     """A spot of some paint."""
     nowhere = np.zeros(3, np.float32)
-    return KnownPaint(texel=(0, 0), position=nowhere, normal=nowhere, albedo=np.float32(albedo))
+    return KnownAlbedo(texel=(0, 0), position=nowhere, normal=nowhere, albedo=np.float32(albedo))
 
 
 @pytest.mark.parametrize("albedo", [(0.18, 0.18, 0.18), (0.5, 0.03, 0.02), (0.05, 0.3, 0.6)])
@@ -104,10 +104,10 @@ def test_what_is_told_is_the_likeliest(albedo):
     measured = np.log(read[0] / np.float32(albedo))
 
     # least squares for level, hues and a sheen, each with its usual size, and the readings
-    sheen = known_paint._SHEEN / np.float32(albedo)
-    reading = np.column_stack([np.ones(3), np.eye(3), sheen]) / known_paint.READ_ERROR
-    usual = np.diag([1 / known_paint._LEVEL_SPREAD, *[1 / known_paint._HUE_SPREAD] * 3, 1.0])
-    wanted = np.concatenate([measured / known_paint.READ_ERROR, np.zeros(5)])
+    sheen = known_albedo._SPECULAR / np.float32(albedo)
+    reading = np.column_stack([np.ones(3), np.eye(3), sheen]) / known_albedo.READ_ERROR
+    usual = np.diag([1 / known_albedo._LEVEL_SPREAD, *[1 / known_albedo._HUE_SPREAD] * 3, 1.0])
+    wanted = np.concatenate([measured / known_albedo.READ_ERROR, np.zeros(5)])
     best = np.linalg.lstsq(np.concatenate([reading, usual]), wanted, rcond=None)[0]
     assert spot_of(*albedo).off(read) == pytest.approx(best[0] + best[1:4], abs=1e-4)
 

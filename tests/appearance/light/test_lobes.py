@@ -23,11 +23,11 @@ from robir.appearance.light.lobes import (
     unevenness,
 )
 from robir.appearance.light.pair_loss import PairWeights
+from robir.appearance.light.prior import NO_PRIOR
 from robir.appearance.light.problem import make_problem, with_hidden
 from robir.appearance.light.solver import fit, refit
 from robir.appearance.light.sun import SunProblem, refine, scan
 from robir.appearance.light.sun_search import find_suns
-from robir.appearance.light.told import NOTHING_TOLD
 from robir.appearance.photometry.statistics import Pairs, Radiance, neighbour_pairs
 from robir.maths.daylight import hue
 from robir.maths.tone import curve_from_name
@@ -66,7 +66,7 @@ def test_elimination_gives_the_albedo_under_the_true_light(stage, problem):
 def test_shadows_give_the_sky_its_strength_back(problem, factor):
     true = synthetic.true_light(SUN, SKY)
     wrong = Amplitudes(soft=factor * true.amplitudes.soft, sharp=true.amplitudes.sharp)
-    mended = refit(problem, replace(true, amplitudes=wrong), NOTHING_TOLD, CONFIG).amplitudes
+    mended = refit(problem, replace(true, amplitudes=wrong), NO_PRIOR, CONFIG).amplitudes
     share = (mended.soft.mean() / mended.sharp.mean()) / (SKY * synthetic.COOL.mean())
     assert float(share * SUN * synthetic.WARM.mean()) == pytest.approx(1, abs=0.06)
 

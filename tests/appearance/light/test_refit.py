@@ -10,9 +10,9 @@ import pytest
 from appearance import synthetic
 
 from robir.appearance.config import AppearanceConfig
+from robir.appearance.light.prior import NO_PRIOR
 from robir.appearance.light.problem import make_problem
 from robir.appearance.light.solver import refit
-from robir.appearance.light.told import NOTHING_TOLD
 from robir.maths.tone import curve_from_name
 
 SUN, SKY = 2.4, 0.12
@@ -32,7 +32,7 @@ def test_paint_of_another_hue_does_not_brighten_the_sky_before_it(stage):
     scene = synthetic.scene_of(replace(stage, albedo=albedo), SUN, SKY, curve)
     problem, true = make_problem(scene, curve), synthetic.true_light(SUN, SKY)
     rows = scene.rows[side[scene.rows]]
-    found = refit(problem, true, NOTHING_TOLD, AppearanceConfig(iterations=240))
+    found = refit(problem, true, NO_PRIOR, AppearanceConfig(iterations=240))
     before, after = (light.irradiance(problem, rows).log().mean() for light in (true, found))
     # .07 by neighbours of all hues
     assert float(after - before) == pytest.approx(0, abs=0.03)

@@ -40,11 +40,11 @@ def degrees(first, second) -> float:
 
 def test_every_direction_is_the_rival_of_one_light_at_most(scanned):
     candidates = scan(scanned, 1000, 20)
-    assert len(candidates) > 5 and 3 < len(candidates[0].rivals) <= sun._NUM_RIVALS
+    assert len(candidates) > 5 and 3 < len(candidates[0].alternatives) <= sun._NUM_ALTERNATIVES
     for candidate in candidates:
-        same = candidate.rivals @ candidate.axis
+        same = candidate.alternatives @ candidate.axis
         assert (same > np.cos(sun.SEPARATION)).all() and (same < 0.9999).all()
-    every = np.concatenate([np.stack([c.axis, *c.rivals]) for c in candidates])
+    every = np.concatenate([np.stack([c.axis, *c.alternatives]) for c in candidates])
     assert len(np.unique(every, axis=0)) == len(every)
 
 
@@ -56,7 +56,7 @@ def test_a_rival_that_more_samples_prefer_is_the_sun(scanned):
     astray = SunCandidate(axis=low, loss=0.0, gain=0.0)
     assert degrees(low, synthetic.SUN) > 12
     assert degrees(refine(scanned, astray, 0.06).axis, synthetic.SUN) > 4
-    found = refine(scanned, replace(astray, rivals=rivals), 0.06)
+    found = refine(scanned, replace(astray, alternatives=rivals), 0.06)
     assert degrees(found.axis, synthetic.SUN) < 1
 
 

@@ -21,7 +21,7 @@ def problem():
 
 def test_what_grazes_a_sun_or_lies_at_its_shadows_edge_is_not_sure(problem):
     axis = np.float32([[0.6, 0.08, 0.79]]) / np.linalg.norm([0.6, 0.08, 0.79])
-    sure = Sunlight.of(problem, axis).is_sure().numpy()
+    sure = Sunlight.of(problem, axis).is_certain().numpy()
     surfels, rows = problem.scene.transport.surfels, problem.scene.rows
     cosine = (surfels.normal[rows] @ axis.T)[:, 0]
     assert not sure[np.abs(cosine) < _GRAZING_COSINE].any()
@@ -41,4 +41,4 @@ def test_where_hardly_anything_is_sure_all_counts(problem):
     axes = np.float32([[0.0, 0.1, 0.995], [0.995, 0.1, 0.0], [0.995, -0.1, 0.0]])
     sunlight = Sunlight.of(problem, axes)
     assert (np.abs(sunlight.cosine) < _GRAZING_COSINE).any(1).mean() > 0.5
-    assert bool(sunlight.is_sure().all())
+    assert bool(sunlight.is_certain().all())

@@ -10,13 +10,13 @@ from appearance import synthetic
 
 from robir.appearance.light.problem import make_problem
 from robir.appearance.material import highlights, metal
-from robir.appearance.material.gloss import estimate_gloss
 from robir.appearance.material.metal import (
-    likely_base,
+    base_colour_posterior,
     metal_errors,
     metal_parts,
 )
 from robir.appearance.material.reflections import Reflections, view_rays
+from robir.appearance.material.specular import estimate_specular
 from robir.maths.tone import curve_from_name
 
 LEVELS = highlights.LEVELS[: metal._NUM_LEVELS]
@@ -64,8 +64,8 @@ def test_bright_metal_explains_what_is_bright_alone(gold, soot):
 def test_metal_is_told_under_a_light_of_wrong_strength(halves, strength):
     problem, light, is_gold = halves
     wrong = light.tinted(torch.full((3,), float(np.log(strength))))
-    gloss, _ = estimate_gloss(problem, wrong, 4, 0)
-    is_metal, seen = gloss.metallic > 0.5, problem.radiance.seen.numpy()
+    specular, _ = estimate_specular(problem, wrong, 4, 0)
+    is_metal, seen = specular.metallic > 0.5, problem.radiance.seen.numpy()
     assert is_metal[seen & is_gold].mean() > 0.85
     assert is_metal[seen & ~is_gold].mean() < 0.1
 
@@ -91,14 +91,14 @@ def read_of(problem, light, odds, shown):
 
 def test_a_part_that_is_misread_is_of_the_other_parts_metal(gold):
     problem, light = gold
-    certain = np.float64(metal._CERTAIN + 1)
+    certain = np.float64(metal._METAL_ODDS + 1)
 
     def shown(sample, count):
         return np.where((sample < count // 4)[:, None], 0.01, 0.8) * np.array([1.0, 0.8, 0.5])
 
     found = read_of(problem, light, lambda count: np.full(count, certain), shown)
     assert len(found.base) == 2
-    alone = np.exp(likely_base(np.log([[0.01, 0.008, 0.005]]), np.array([500])))[0]
+    alone = np.exp(base_colour_posterior(np.log([[0.01, 0.008, 0.005]]), np.array([500])))[0]
     # half of what shows the first part is misread
     assert (found.base.max(1) > 0.65).all()
     assert alone.max() > 0.4
@@ -130,7 +130,7 @@ def test_base_colours_are_posterior_means(monkeypatch):
         green + metal._GREEN_ERROR * rng.normal(size=count),
     )
     one = np.array([500])
-    told = np.concatenate([likely_base(row[None], one) for row in read])
+    told = np.concatenate([base_colour_posterior(row[None], one) for row in read])
     # one part alone is the whole scene, and read twice: once as the scene, once as the part
     off = (told[:, 2] - told[:, 0]) - blue
     assert abs(off.mean()) < 4 * off.std() / np.sqrt(count)
@@ -141,9 +141,9 @@ def test_base_colours_are_posterior_means(monkeypatch):
 
 def test_metal_takes_no_part_in_the_light_but_where_there_is_hardly_anything_else(halves, gold):
     problem, light, is_gold = halves
-    gloss, _ = estimate_gloss(problem, light, 4, 0)
-    rows = gloss.solved_by(problem.scene.rows, metal.SOLVED_WITHOUT)
+    specular, _ = estimate_specular(problem, light, 4, 0)
+    rows = specular.solved_by(problem.scene.rows, metal.SOLVED_WITHOUT)
     assert is_gold[rows].mean() < 0.1 < is_gold[problem.scene.rows].mean()
     whole, light = gold
-    gloss, _ = estimate_gloss(whole, light, 4, 0)
-    assert len(gloss.solved_by(whole.scene.rows, metal.SOLVED_WITHOUT)) == len(whole.scene.rows)
+    specular, _ = estimate_specular(whole, light, 4, 0)
+    assert len(specular.solved_by(whole.scene.rows, metal.SOLVED_WITHOUT)) == len(whole.scene.rows)

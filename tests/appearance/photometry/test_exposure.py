@@ -9,7 +9,7 @@ import torch
 
 from robir.appearance.photometry.comparison import find_falloff
 from robir.appearance.photometry.exposure import (
-    Exposures,
+    ExposureModel,
     Gains,
     comparable,
 )
@@ -168,7 +168,7 @@ def test_a_known_falloff_is_found_among_gloss_and_exposures(glossy, rng, family,
     falloff = falloff_of(seen, normals)
     assert falloff.strength > 0
     assert share_of(seen, normals, falloff) > 0.6
-    exposures = Exposures(observations=seen, normals=normals, gain_share=1.0, has_falloff=True)
+    exposures = ExposureModel(observations=seen, normals=normals, gain_share=1.0, has_falloff=True)
     gains = exposures.gains(curve_from_name(family))
     # steps of what is seen: s reaches 0.4
     reach = np.quantile(square[weight > 0.5], 0.98)

@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from robir.appearance.photometry.comparison import COMPARISON, Comparison
+from robir.appearance.photometry.comparison import COMPARISON, PhotoComparison
 from robir.appearance.photometry.gains import solve_gains
 from robir.appearance.photometry.other_light import find_unlike, unlike
 from robir.capture.capture import View
 from robir.geometry.mesh.isosurface import plain_mesh
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.maths.vectors import fibonacci_sphere
-from robir.steps import Course
+from robir.steps import Pipeline
 from robir.transport.baked import bake
 from robir.transport.config import TransportConfig
 from tests.geometry.scenes import ball, capture_of
@@ -93,8 +93,8 @@ def test_photographs_of_a_capture_are_named_those_kept_aside_as_well():
     config = TransportConfig(num_surfels=1500, num_directions=64)
     transport = bake(mesh, capture.train, config, seed=0)
     tracer = EmbreeTracer(mesh.vertices, mesh.faces)
-    compared = Comparison.of(transport, tracer, capture, 0)
-    compared = Course().carry_out(COMPARISON, compared)
+    compared = PhotoComparison.of(transport, tracer, capture, 0)
+    compared = Pipeline().run(COMPARISON, compared)
     odd = {views[number].name for number in (5, 16, 20)}
     assert compared.other_light == odd
     left = transport.without_views(compared.other_light).observations

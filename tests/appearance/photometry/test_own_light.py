@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from robir.appearance.photometry.exposure import Exposures, Gains
+from robir.appearance.photometry.exposure import ExposureModel, Gains
 from robir.appearance.photometry.own_light import _least_squares, have_own_lights, solve_slopes
 from robir.maths.tone import curve_from_name
 from robir.maths.vectors import fibonacci_sphere
@@ -109,7 +109,7 @@ def test_the_common_light_is_left(turned):
     """Undone, photographs of a point agree; the light that all share stays in the points."""
     linear, weight, normals, _ = turned
     seen = observed(linear, weight)
-    exposures = Exposures(
+    exposures = ExposureModel(
         observations=seen, normals=normals, gain_share=1.0, has_falloff=False, has_own_lights=True
     )
     gains = exposures.gains(curve_from_name("standard"))

@@ -101,10 +101,10 @@ def test_pairs_are_alike_by_hue_and_brightness_but_for_a_step():
 
 def test_the_commonest_step_is_that_of_a_wrong_light_whatever_the_materials():
     rng = np.random.default_rng(0)
-    paints = np.log([[0.16, 0.22, 0.21], [0.4, 0.41, 0.41], [0.6, 0.1, 0.1]])
+    dielectrics = np.log([[0.16, 0.22, 0.21], [0.4, 0.41, 0.41], [0.6, 0.1, 0.1]])
     # more of the bright in the shade, more of the dark in the sun: a median would be led astray
-    shaded = paints[rng.choice(3, 600, p=[0.3, 0.5, 0.2])] + [-0.6, -0.45, -0.3]
-    lit = paints[rng.choice(3, 600, p=[0.5, 0.3, 0.2])]
+    shaded = dielectrics[rng.choice(3, 600, p=[0.3, 0.5, 0.2])] + [-0.6, -0.45, -0.3]
+    lit = dielectrics[rng.choice(3, 600, p=[0.5, 0.3, 0.2])]
     log_albedo = torch.from_numpy(np.concatenate([shaded, lit]) + rng.normal(0, 0.05, (1200, 3)))
     pairs = Pairs(
         first=torch.arange(600).repeat(4),

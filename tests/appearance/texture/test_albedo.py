@@ -14,15 +14,15 @@ from transport.shapes import looking_at, mesh_of, patch, photograph
 from robir.appearance.light.lobes import Amplitudes, soft_transfer
 from robir.appearance.light.problem import make_problem, make_scene
 from robir.appearance.light.solver import Light
-from robir.appearance.material.gloss import Gloss
+from robir.appearance.material.specular import SpecularMaterial
 from robir.appearance.texture.albedo import _STEP, texel_albedo
-from robir.appearance.texture.residual_shading import evened, with_normals
-from robir.appearance.texture.shadow_edges import Reference, settle_clipped, settle_edges
+from robir.appearance.texture.residual_shading import smoothed_albedo, with_normals
+from robir.appearance.texture.shadow_edges import Reference, fill_clipped, solve_shadow_edges
 from robir.appearance.texture.texels import NORMAL_SCALE, Texels
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.maths.tone import curve_from_name
 from robir.maths.vectors import fibonacci_sphere
-from robir.steps import Course
+from robir.steps import Pipeline
 from robir.transport.baked import Transport
 from robir.transport.observe import observe
 from robir.transport.surfels import sample_surfels
@@ -65,7 +65,7 @@ def test_edges_take_the_paint_around_them_and_certain_texels_are_left_alone(shad
     texels, light, paint, exitant, irradiance, parts, edge = shadow
     albedo = exitant / irradiance[:, None]
     reference = Reference(texels, albedo, ~edge)
-    settled = settle_edges((albedo, exitant), parts, light, texels, edge, reference)
+    settled = solve_shadow_edges((albedo, exitant), parts, light, texels, edge, reference)
     np.testing.assert_array_equal(settled[~edge], albedo[~edge])
     before = np.abs(np.log(albedo / paint))[edge].mean()
     after = np.abs(np.log(settled / paint))[edge]
@@ -90,7 +90,7 @@ def test_a_border_of_two_paints_within_a_shadow_edge_stays_where_it_is(shadow):
     parts = np.full((len(x), 3), SOFT), 0.8 * traced[:, None], light.amplitudes.sharp.numpy()
     edge = np.abs(x) < 0.07
     reference = Reference(texels, albedo, ~edge)
-    settled = settle_edges((albedo, exitant), parts, light, texels, edge, reference)
+    settled = solve_shadow_edges((albedo, exitant), parts, light, texels, edge, reference)
     wrong = np.abs(np.log(settled / paint))[edge].mean(1)
     assert np.quantile(wrong, 0.9) < 0.16  # the shares tried are a tenth apart
 
@@ -105,7 +105,7 @@ def test_clipped_channels_rise_to_their_surroundings_and_never_fall(shadow):
     brighter = middle & (texels.position[:, 1] < -0.4)
     measured[brighter, 0] = 0.9
     reference = Reference(texels, paint, ~clipped.any(1))
-    settled = settle_clipped(measured, clipped, reference, texels)
+    settled = fill_clipped(measured, clipped, reference, texels)
     np.testing.assert_array_equal(settled[~clipped], measured[~clipped])
     np.testing.assert_allclose(settled[middle & ~brighter, 0], PAINTS[0, 0], rtol=1e-6)
     np.testing.assert_array_equal(settled[brighter, 0], measured[brighter, 0])
@@ -124,7 +124,7 @@ def test_evening_removes_errors_of_the_light_and_keeps_texture_and_edges():
     seen[unknown] = 0.9
     disagreement = np.where(unknown, 1.0, 0.05).astype(np.float32)
     points = with_normals(texels.position, texels.normal, NORMAL_SCALE)
-    left = np.log(evened(seen, disagreement, points, _STEP) / paint).mean(1)
+    left = np.log(smoothed_albedo(seen, disagreement, points, _STEP) / paint).mean(1)
     inner = (np.abs(y) > 0.05) & (np.maximum(np.abs(x), np.abs(y)) < 0.5) & ~unknown
     basis = np.stack([bumps, stripes, np.ones_like(x)], axis=1)[inner]
     (kept_bumps, kept_stripes, offset), *_ = np.linalg.lstsq(basis, left[inner], rcond=None)
@@ -146,12 +146,12 @@ def test_paint_that_is_hardly_known_becomes_what_surrounds_it(doubt, share_left)
     dark = np.hypot(position[:, 0], position[:, 1]) < 0.12
     albedo = np.tile(np.float32([0.3, 0.2, 0.1]), (6000, 1))
     albedo[dark] *= 0.4
-    result = evened(albedo, np.where(dark, doubt, 0.05).astype(np.float32), points, _STEP)
+    result = smoothed_albedo(albedo, np.where(dark, doubt, 0.05).astype(np.float32), points, _STEP)
     left = np.median(np.log(result[dark] / [0.3, 0.2, 0.1])) / np.log(0.4)
     assert left < share_left if doubt > 0.5 else left > share_left
 
 
-def lit_floor(paints, is_second):
+def lit_floor(dielectrics, is_second):
     """Sun and sky on open ground, photographed: problem, light, texels, views, matte gloss, tracer.
 
     The second of the paints (2, 3) lies where `is_second` of the positions (N, 3) holds.
@@ -168,7 +168,7 @@ def lit_floor(paints, is_second):
     curve = curve_from_name("agx")
 
     def shade(points, face, view_dir):
-        paint = paints[is_second(points).astype(int)]
+        paint = dielectrics[is_second(points).astype(int)]
         return curve.display_from_linear(torch.from_numpy(paint * irradiance / np.pi)).numpy()
 
     cameras = [looking_at(place, size=96) for place in ((0, 0.4, 3), (1.6, 0, 2.2), (-1, -1, 2.5))]
@@ -181,7 +181,7 @@ def lit_floor(paints, is_second):
     position = np.stack([x, y, 0 * x], axis=1).astype(np.float32)
     normal = np.tile(np.float32([0, 0, 1]), (len(position), 1))
     count = len(surfels)
-    matte = Gloss(
+    matte = SpecularMaterial(
         roughness=np.full(count, 0.5, np.float32),
         metallic=np.zeros(count, np.float32),
         floor=np.zeros((count, 3), np.float32),
@@ -199,7 +199,7 @@ def test_texels_of_a_lit_floor_have_their_paint():
     """Albedo is pi R / E, unseen texels borrow it."""
     problem, light, texels, views, matte, tracer = lit_floor(PAINTS, lambda at: at[:, 1] > 0)
     y = texels.position[:, 1]
-    values = texel_albedo((problem, light, matte), texels, views, tracer, Course())
+    values = texel_albedo((problem, light, matte), texels, views, tracer, Pipeline())
     paint = PAINTS[(y > 0).astype(int)]
     inner = np.abs(y) > 0.05
     error = np.abs(values.albedo / paint - 1)
@@ -214,7 +214,7 @@ def test_texels_of_a_lit_floor_have_their_paint():
     np.testing.assert_allclose(values.roughness, 0.5, rtol=1e-6)
     # Views of a glossy surface agree as well as those of a dull one.
     glossy = replace(matte, floor=0.1 * problem.radiance.linear.numpy())
-    again = texel_albedo((problem, light, glossy), texels, views, tracer, Course())
+    again = texel_albedo((problem, light, glossy), texels, views, tracer, Pipeline())
     assert np.abs(again.albedo / values.albedo - 0.9)[inner & ~unseen].max() < 0.05
     np.testing.assert_allclose(
         again.disagreement[inner & ~unseen], values.disagreement[inner & ~unseen], atol=1e-6
@@ -231,8 +231,8 @@ def test_what_no_model_explains_is_shown_as_the_mean(has_highlights):
         replace(view, image_display=np.rint(view.image_display * factor).clip(0, 254).astype("u1"))
         for view, factor in zip(views, factors, strict=True)
     )
-    gloss = replace(matte, has_highlights=has_highlights)
-    values = texel_albedo((problem, light, gloss), texels, views, tracer, Course())
+    specular = replace(matte, has_highlights=has_highlights)
+    values = texel_albedo((problem, light, specular), texels, views, tracer, Pipeline())
     seen = observe(tracer, texels.position, texels.normal, views, 0.003)
     soft = problem.scene.soft[0] @ light.amplitudes.soft
     irradiance = (soft + float(synthetic.SUN[2]) * light.amplitudes.sharp[0]).numpy()

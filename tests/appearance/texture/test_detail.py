@@ -42,13 +42,13 @@ def floor() -> Mesh:
     return replace(mesh, uvs=uvs.astype(np.float32), uv_faces=mesh.faces)
 
 
-def photograph(position, name: str, gloss=None, dimmed: float = 1.0, size: int = 500) -> View:
-    """The floor under even light, at its own exposure; `gloss` adds radiance to points (N, 3)."""
+def photograph(position, name: str, specular=None, dimmed: float = 1.0, size: int = 500) -> View:
+    """The floor under even light, at its own exposure; `specular` adds radiance to points."""
     camera = looking_at(position, size=size, focal=1.1)
     fine = camera.resized(2 * size, 2 * size)
     origins, directions = fine.rays(fine.pixel_centres())
     points = origins - directions * (origins[:, 2:] / directions[:, 2:])
-    radiance = LIGHT * paint_at(points) + (0.0 if gloss is None else gloss(points))
+    radiance = LIGHT * paint_at(points) + (0.0 if specular is None else specular(points))
     mean = (dimmed * radiance).reshape(size, 2, size, 2, 3).mean(axis=(1, 3))
     shown = CURVE.display_from_linear(torch.from_numpy(mean.astype(np.float32))).numpy()
     held = (np.abs(points[:, :2]) < 1).all(1).reshape(size, 2, size, 2).all(axis=(1, 3))

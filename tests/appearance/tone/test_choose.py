@@ -12,7 +12,7 @@ from robir.appearance.tone.choose import choose_tone_curve
 from robir.appearance.tone.clipping import clipping_evidence
 from robir.appearance.tone.ranking import camera_lags, simplest_near_best
 from robir.maths.tone import curve_from_name
-from robir.steps import Course
+from robir.steps import Pipeline
 from robir.transport.observe import Observations
 
 CONFIG = AppearanceConfig(num_scan_directions=400, num_sharp_lobes=1, iterations=60)
@@ -26,7 +26,7 @@ def stage():
 
 def ranked(stage, name):
     scene = synthetic.scene_of(stage, SUN, SKY, curve_from_name(name), 700)
-    choice = choose_tone_curve(scene, CONFIG, 0, Course())
+    choice = choose_tone_curve(scene, CONFIG, 0, Pipeline())
     return choice.candidates, choice.evidence
 
 

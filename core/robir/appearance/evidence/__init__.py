@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What highlights tell of the light: its level, its hue, and the sky that metal mirrors."""
+"""Priors on the brightness and hue of the light as a whole."""

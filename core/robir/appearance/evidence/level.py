@@ -1,15 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How bright the light as a whole is, by what is common.
+"""How bright the light as a whole is, by two priors.
 
-Photographs of diffuse surfaces know light and albedo by their product alone. Two priors tell the
-light's part of it, and their log likelihoods are added:
-
-- Paints: how bright they commonly are.
-- Exposure: photographs are exposed for the light that there is, as by an incident-light meter, so
-  that white paint is about as bright as the brightest that a photograph shows.
-
-Highlights could tell it too, as a specular layer returns 4 % of a light however bright its paint
-is; but where they are hangs on the mesh, and what they told was further off than the priors.
+Photographs of diffuse surfaces know light and albedo by their product alone. The log likelihoods of
+common albedos and of common exposures are added: white is about as bright as the brightest that a
+photograph shows, as by an incident-light meter.
 """
 
 from __future__ import annotations
@@ -17,11 +11,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from robir.appearance.evidence.witness import BY_ALL, Witness
+from robir.appearance.evidence.estimate import BY_ALL, Estimate
 from robir.appearance.light.lobes import BRIGHTEST_QUANTILE, log_ratio, log_sent
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
-from robir.appearance.material.gloss import Gloss
+from robir.appearance.material.specular import SpecularMaterial
 
 Reals = NDArray[np.float64]
 
@@ -30,8 +24,8 @@ _BRIGHTEST = 3.0  # log of the greatest
 _NUM_FACTORS = 21  # factors that are tried, these two among them
 # mean log albedo of what photographs show, on average: of 26 drawn captures of both halves, seeds 0
 # to 12 and 100 to 112 (without metal -2.2, all -2.0)
-_PAINT = -2.1
-_PAINT_SPREAD = 0.75  # its deviation (log units)
+_LOG_ALBEDO = -2.1
+_LOG_ALBEDO_SPREAD = 0.75  # its deviation (log units)
 # log radiance of white paint in the mean light, 1 being what the plain curve shows as white, on
 # average: of the same captures
 _EXPOSURE = -0.25
@@ -44,59 +38,44 @@ def log_factors() -> Reals:
     return np.linspace(_DARKEST, _BRIGHTEST, _NUM_FACTORS)
 
 
-def told_level(
-    problem: Problem, light: Light, gloss: Gloss, solved: NDArray[np.int64]
-) -> tuple[Witness, ...]:
-    """What sky and suns likely send, of which diffuse surfaces tell the product with albedo alone.
+def level_estimates(
+    problem: Problem, light: Light, specular: SpecularMaterial, solved: NDArray[np.int64]
+) -> tuple[Estimate, ...]:
+    """What each prior says of the mean over channels of the log mean irradiance of sky and suns.
 
-    Args:
-        problem: Scene under a tone curve.
-        light: Its light, of which all but the brightness as a whole is taken for right.
-        gloss: Specular material under it.
-        solved: Samples by which the light is solved: of what these receive the level is told.
-
-    Returns:
-        What each prior tells of the mean over the channels of the log of the mean irradiance, both
-        together last. Nothing where all is metal: paints and exposures of metal are not common.
+    Of a light right but for its brightness, the specular material under it, and the samples (U,)
+    that it is solved by. Both priors together come last; nothing where all is metal.
     """
-    chosen = problem.radiance.seen.numpy() & gloss.is_paint
+    chosen = problem.radiance.seen.numpy() & specular.is_dielectric
     rows = problem.scene.rows[chosen[problem.scene.rows]]
     if not len(rows):
         return ()
     albedo = log_ratio(problem.radiance.linear[rows], light.irradiance(problem, rows)).numpy()
     sent = float(log_sent(light.irradiance(problem, solved), problem.indirect[solved]).mean())
-    told = {"common paints": usual_paint(albedo), "exposure": usual_exposure(sent)}
-    told[BY_ALL] = told["common paints"] + told["exposure"]
-    return tuple(_witness(by, likely, sent) for by, likely in told.items())
+    priors = {"common paints": albedo_prior(albedo), "exposure": exposure_prior(sent)}
+    priors[BY_ALL] = priors["common paints"] + priors["exposure"]
+    return tuple(_estimate(by, log_likelihood, sent) for by, log_likelihood in priors.items())
 
 
-def _witness(by: str, log_likely: Reals, sent: float) -> Witness:
+def _estimate(by: str, log_likelihood: Reals, sent: float) -> Estimate:
     """Mean and deviation of the level under log likelihoods (F,), up to a constant."""
     factors = log_factors()
-    likely = np.exp(log_likely - log_likely.max())
-    likely /= likely.sum()
-    mean = float(likely @ factors)
-    deviation = float(np.sqrt(likely @ (factors - mean) ** 2))
-    return Witness(of="level", by=by, value=sent + mean, deviation=deviation)
+    posterior = np.exp(log_likelihood - log_likelihood.max())
+    posterior /= posterior.sum()
+    mean = float(posterior @ factors)
+    deviation = float(np.sqrt(posterior @ (factors - mean) ** 2))
+    return Estimate(of="level", by=by, value=sent + mean, deviation=deviation)
 
 
-def usual_paint(albedo: NDArray[np.floating]) -> Reals:
-    """Log of how common the paints are, (F,), were the light so much brighter.
-
-    Args:
-        albedo: (U, 3) log albedo by the light as it is.
-    """
+def albedo_prior(albedo: NDArray[np.floating]) -> Reals:
+    """Log likelihood (F,) of log albedos (U, 3), were the light brighter by each factor."""
     factors = log_factors()
-    mean = (albedo.mean() - factors - _PAINT) / _PAINT_SPREAD
+    mean = (albedo.mean() - factors - _LOG_ALBEDO) / _LOG_ALBEDO_SPREAD
     brightest = np.quantile(albedo.max(1), BRIGHTEST_QUANTILE) - factors
     return -0.5 * (mean**2 + (brightest.clip(0) / _EXCESS) ** 2)
 
 
-def usual_exposure(sent: float) -> Reals:
-    """Log of how common it is to expose so, (F,), were the light so much brighter.
-
-    Args:
-        sent: Mean log irradiance by the light as it is.
-    """
+def exposure_prior(sent: float) -> Reals:
+    """Log likelihood (F,) of a mean log irradiance, were the light brighter by each factor."""
     white = sent - np.log(np.pi) + log_factors()
     return -0.5 * ((white - _EXPOSURE) / _EXPOSURE_SPREAD) ** 2

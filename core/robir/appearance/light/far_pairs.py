@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Samples anywhere on the surface whose albedos have one hue.
 
-Neighbours do not see the shading of a smooth thing, which varies as slowly as its light. Two
-samples of the same hue are often of one paint, wherever they lie and face, and under the right
-light they are as bright as each other. Like hue under a wrong light is like hue still where the
-light is near grey, so a light that is half solved is enough to find them.
+Neighbours do not see the shading of a smooth thing. Two samples of one hue are often of one
+material and as bright as each other under the right light; hue is nearly right under a half-solved
+light.
 """
 
 from __future__ import annotations
@@ -31,15 +30,10 @@ _HUE = 0.06
 
 
 def far_pairs(log_albedo: Tensor, whole: Tensor) -> Pairs | None:
-    """Pairs of one hue.
+    """Pairs of one hue among samples of log albedo (U, 3), those most alike counting most.
 
-    Args:
-        log_albedo: (U, 3) natural logarithm of linear Rec.709, under a light that is known so far.
-        whole: (W,) indices of the samples that take part: no channel of theirs is clipped.
-
-    Returns:
-        Pairs among the U samples, two of a hue counting most; None with too few samples. The same
-        for the same samples: draws are seeded.
+    Of the samples `whole` (W,), of which no channel is clipped; None with too few. Draws are
+    seeded.
     """
     if len(whole) < 2 * _FEWEST:
         return None

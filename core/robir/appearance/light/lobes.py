@@ -1,12 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The light: fixed soft lobes for the sky, a few free sharp lobes for suns and lamps.
 
-Irradiance is linear in the amplitudes. With the exitant radiance R of a diffuse sample measured by
-the cameras, albedo is not an unknown but a ratio, a = pi R / E, and only the light is searched
-(variable elimination): a few hundred numbers. What decides is the prior on the logarithm of that
-ratio. Absolute differences between neighbours do not saturate, so a light that leaves every
-shadow in the albedo pays for every shadow; a saturating penalty would forgive them and prefer a
-light without a sun.
+Irradiance is linear in the amplitudes. As cameras measure the exitant radiance R of a diffuse
+sample, its albedo is the ratio a = pi R / E, and only the light is searched (variable elimination),
+by priors on log a. Absolute differences between neighbours do not saturate, so a light that leaves
+every shadow in the albedo pays for every shadow.
 """
 
 from __future__ import annotations
@@ -22,7 +20,7 @@ from torch import Tensor
 
 from robir.appearance.light.far_pairs import far_pairs
 from robir.appearance.light.pair_loss import PairWeights
-from robir.appearance.light.told import NOTHING_TOLD, Told
+from robir.appearance.light.prior import NO_PRIOR, LightPrior
 from robir.appearance.photometry.statistics import Pairs, Radiance
 from robir.maths.adam import Adam
 from robir.maths.daylight import PART, SUN, WHOLE
@@ -57,16 +55,16 @@ class Transfer:
     """Irradiance at the samples that take part, per unit of each light.
 
     Attributes:
-        soft: (U, K) irradiance for unit amplitude of each soft lobe.
-        sharp: (U, J) irradiance for unit energy of each sharp lobe, visibility included.
-        indirect: (U, 3) irradiance from surfaces, fixed by the photographs.
-        sure: (U,) bool, where an error of the mesh neither gives nor takes a sun; all if None.
+        soft: (U, K) for unit amplitude of each soft lobe.
+        sharp: (U, J) for unit energy of each sharp lobe, visibility included.
+        indirect: (U, 3) from surfaces, fixed by the photographs.
+        certain: (U,) bool, where an error of the mesh neither gives nor takes a sun; all if None.
     """
 
     soft: Tensor
     sharp: Tensor
     indirect: Tensor
-    sure: Tensor | None = None
+    certain: Tensor | None = None
 
     @cached_property
     def soft_rows(self) -> Tensor:
@@ -122,16 +120,9 @@ def sky_radiance(directions: Tensor, amplitudes: Tensor) -> Tensor:
 def soft_transfer(
     visibility: Visibility, normal: NDArray[np.float32], rows: NDArray[np.int64], count: int
 ) -> Tensor:
-    """Irradiance at samples for unit amplitude of each soft lobe, by equation (1) of transport.
+    """Irradiance (U, count) at samples `rows` for unit amplitude of soft lobes.
 
-    Args:
-        visibility: Bits of all samples.
-        normal: (S, 3) normals of all samples.
-        rows: (U,) samples wanted.
-        count: Number of soft lobes.
-
-    Returns:
-        (U, count) float32.
+    Equation (1) of transport; `normal` (S, 3) is of all samples.
     """
     axes, sharpness = soft_lobes(count)
     directions = torch.from_numpy(visibility.directions)
@@ -153,12 +144,7 @@ def log_ratio(radiance: Tensor, irradiance: Tensor) -> Tensor:
 
 
 def log_sent(irradiance: Tensor, indirect: Tensor) -> Tensor:
-    """Log (3,) of the mean irradiance that sky and suns send; less its mean, the light's hue.
-
-    Args:
-        irradiance: (U, 3) from everything.
-        indirect: (U, 3) of it from surfaces.
-    """
+    """Log (3,) of the mean irradiance (U, 3) of sky and suns; less its mean, the light's hue."""
     return (irradiance - indirect).mean(0).log()
 
 
@@ -167,14 +153,13 @@ class Priors:
     """What a solve knows of albedo and light beforehand.
 
     Attributes:
-        told: What evidence tells of the light as a whole; it weighs as `_HUE` does, per squared
-            deviation.
+        light: Prior of the light as a whole; it weighs as `_HUE` does, per squared deviation.
         far: Weight of equal albedo where the hue is one, see far_pairs.py.
         shadow: Weight of equal albedo on both sides of a shadow.
         smooth: Weight of neighbouring soft lobes being alike.
     """
 
-    told: Told = NOTHING_TOLD
+    light: LightPrior = NO_PRIOR
     far: float = 0.0
     shadow: float = field(default_factory=lambda: _SHADOW)
     smooth: float = field(default_factory=lambda: _SMOOTH)
@@ -188,7 +173,7 @@ def solve_amplitudes(
     iterations: int,
     start: Amplitudes | None = None,
 ) -> tuple[Amplitudes, float]:
-    """Light strengths whose eliminated albedo is the most plausible.
+    """Light strengths whose eliminated albedo is the most plausible, and the neighbour loss.
 
     Args:
         radiance: Of the samples that take part (U,).
@@ -197,9 +182,6 @@ def solve_amplitudes(
         priors: What is known beforehand.
         iterations: Adam steps.
         start: Where to begin; a neutral sky with equally strong suns if None.
-
-    Returns:
-        Amplitudes and the final neighbour loss (mean absolute log difference).
     """
     num_soft, num_sharp = transfer.soft.shape[1], transfer.sharp.shape[1]
     renewed = {0, iterations // 3, 2 * iterations // 3}
@@ -218,7 +200,9 @@ def solve_amplitudes(
     whole = torch.nonzero(~radiance.clipped.any(1))[:, 0]
     alike: PairWeights | None = None
     count = len(radiance.seen)
-    sure = torch.arange(count) if transfer.sure is None else torch.nonzero(transfer.sure)[:, 0]
+    certain = (
+        torch.arange(count) if transfer.certain is None else torch.nonzero(transfer.certain)[:, 0]
+    )
     for step in range(iterations):
         fraction = step / max(1, iterations - 1)
         amplitudes = Amplitudes(soft=log_soft.exp(), sharp=log_sharp.exp())
@@ -230,13 +214,13 @@ def solve_amplitudes(
             alike = PairWeights.of(pairs_far, radiance.clipped)
         if alike is not None:
             loss = loss + priors.far * alike.loss(log_albedo)
-        loss = loss + _BOUNDS * range_loss(log_albedo, (whole, sure), priors)
+        loss = loss + _BOUNDS * range_loss(log_albedo, (whole, certain), priors)
         sky = torch.log(amplitudes.soft.mean(0))
         loss = loss + _PART * PART.absolute(log_soft - sky).mean()
         if num_sharp:
             loss = loss + _HUE * SUN.squared(log_sharp - sky).mean()
         sent = log_sent(irradiance, transfer.indirect)
-        loss = loss + _HUE * (WHOLE.squared(sent) + priors.told.squared(sent))
+        loss = loss + _HUE * (WHOLE.squared(sent) + priors.light.squared(sent))
         loss = loss + priors.smooth * (log_soft[near] - log_soft[:, None]).abs().mean()
         loss = loss + _SPREAD * unevenness(amplitudes.soft, hidden)
         loss.backward()
@@ -259,27 +243,21 @@ def neutral_start(radiance: Radiance, transfer: Transfer, albedo: float) -> Ampl
 
 
 def range_loss(log_albedo: Tensor, chosen: tuple[Tensor, Tensor], priors: Priors) -> Tensor:
-    """Penalty for albedos that no common material has; it fixes the overall scale.
+    """Penalty for log albedos (U, 3) that no common material has: it fixes the overall scale.
 
-    The mean of log albedo is drawn towards that of common scenes where no highlight tells how
-    bright the light is, as long as the brightest materials stay common ones; where one tells, as
-    long as they reflect no more than they receive: held to the limit of common ones as well, a
-    white cow lost a tenth of its red. These are looked for where it is sure how much sun arrives:
-    under a low sun a wall that the mesh turns out of it by a few degrees has an albedo of two. Only
-    the lowest of the brightest few per cent counts: above it lie highlights.
-
-    Args:
-        log_albedo: (U, 3).
-        chosen: Samples of which no channel is clipped, and those of which it is sure.
-        priors: Limits.
+    Without a prior of the level, mean log albedo is drawn to that of common scenes and the
+    brightest to common ones; with one, the brightest may only not reflect more than they receive.
+    The lowest of the brightest few per cent counts, as above it lie highlights. `chosen` are the
+    unclipped samples, and those where the sun is certain: a wall that the mesh turns out of a low
+    sun has an albedo of two.
     """
-    whole, sure = chosen
+    whole, certain = chosen
     # the quantile, linear between ranks, without sorting what lies below
-    brightness = log_albedo.index_select(0, sure).amax(1)
+    brightness = log_albedo.index_select(0, certain).amax(1)
     rank, part = divmod(BRIGHTEST_QUANTILE * (len(brightness) - 1), 1.0)
     above = brightness.topk(len(brightness) - int(rank)).values
     brightest = torch.lerp(above[-1], above[max(len(above) - 2, 0)], part)
-    if priors.told.level is not None:
+    if priors.light.level is not None:
         return 2 * brightest.clamp(min=0)
     high = (brightest - np.log(_BRIGHTEST)).clamp(min=0)
     middle = (log_albedo.index_select(0, whole).mean() - np.log(MEAN_ALBEDO)) ** 2
@@ -287,18 +265,10 @@ def range_loss(log_albedo: Tensor, chosen: tuple[Tensor, Tensor], priors: Priors
 
 
 def unevenness(soft: Tensor, hidden: Tensor) -> Tensor:
-    """How far lobes that few samples see outshine the sky as a whole.
+    """How far lobes that few samples see outshine the sky, mean over channels, at least 0.
 
-    The log of their mean square over the square of all lobes' mean: where all are hidden, of their
-    number over the participation ratio. A studio's boxes and lamps come to about .9, an outdoor sky
-    without its sun to .1. A lobe that is well seen may be as bright as the photographs have it.
-
-    Args:
-        soft: (K, 3) amplitudes, > 0.
-        hidden: (K,) weights, 0 for the lobe that lights the samples best, 1 for one that none sees.
-
-    Returns:
-        Mean over the channels, at least 0.
+    The log of the mean square of amplitudes (K, 3), weighted by `hidden` (K,) in 0..1, over the
+    square of their mean. A studio's lamps come to 0.9, an outdoor sky without its sun to 0.1.
     """
     square = (hidden @ soft**2) / hidden.sum().clamp(min=1e-6)
     return (square / soft.mean(0) ** 2).clamp(min=1).log().mean()
@@ -307,16 +277,7 @@ def unevenness(soft: Tensor, hidden: Tensor) -> Tensor:
 def lobes_of(
     amplitudes: Amplitudes, axes: NDArray[np.float32], sharpness: NDArray[np.float32]
 ) -> SphericalGaussians:
-    """All lights as one mixture of lobes.
-
-    Args:
-        amplitudes: Strengths; a sharp lobe's is its irradiance at normal incidence.
-        axes: (J, 3) axes of the sharp lobes.
-        sharpness: (J,) their sharpness.
-
-    Returns:
-        Soft lobes first, then sharp ones; amplitudes are radiance.
-    """
+    """All lights as one mixture of lobes of radiance, soft ones first, then sharp ones (J,)."""
     soft_axes, soft_sharpness = soft_lobes(len(amplitudes.soft))
     sharp = torch.from_numpy(sharpness).float()
     return SphericalGaussians(

@@ -21,17 +21,17 @@ from robir.appearance.photometry.statistics import Pairs
 class PairWeights:
     """Pairs with the weight of a difference in either direction.
 
-    A clipped sample is at least as bright as it looks, so it is only wrong when it comes out
-    brighter than its partner; two clipped samples say nothing about each other. With a weight b
-    where a pair's first comes out brighter by d and k where it comes out darker, the loss is
-    (b + k) / 2 |d| + (b - k) / 2 d: what is linear in d is summed over a sample's pairs beforehand.
+    A clipped sample is at least as bright as it looks, so it only errs where it comes out brighter
+    than its partner. With weight b where a pair's first comes out brighter by d and k where darker,
+    the loss is (b + k) / 2 |d| + (b - k) / 2 d; the linear part is summed over a sample's pairs
+    beforehand.
 
     Attributes:
         pairs: The pairs.
-        spread: Sparse (U, P), adds a pair's value to its first sample and takes it off its second.
-            This product costs a tenth of torch's own scatter.
-        size: (3, P) weight of the absolute difference, (b + k) / 2. Here and below channels come
-            first: look-ups of single numbers cost less than of three.
+        spread: Sparse (U, P), adds a pair's value to its first sample and takes it off its second,
+            at a tenth of the cost of torch's scatter.
+        size: (3, P) weight of the absolute difference, (b + k) / 2. Channels come first, as
+            look-ups of single numbers cost less.
         pull: (3, U) slope of the linear part at each sample.
     """
 
@@ -61,7 +61,7 @@ class PairWeights:
         return _PairLoss.apply(log_albedo, self)
 
     def losses(self, values: Tensor) -> Tensor:
-        """Of many log albedos at once, without gradients; values (U, 3 G), channels fastest: (G,).
+        """Losses (G,) of log albedos (U, 3 G), channels fastest, without gradients.
 
         Look-ups of whole rows and one matrix product take a tenth of the time of `loss` for each.
         """

@@ -12,9 +12,9 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from robir.appearance.blocks import block_numbers
-from robir.appearance.light.known_paint import KnownPaint
+from robir.appearance.light.known_albedo import KnownAlbedo
 from robir.appearance.light.lobes import MEAN_ALBEDO, Transfer, soft_transfer
-from robir.appearance.photometry.exposure import Exposures, Gains
+from robir.appearance.photometry.exposure import ExposureModel, Gains
 from robir.appearance.photometry.statistics import (
     Pairs,
     Radiance,
@@ -57,9 +57,9 @@ class Scene:
         offset: Distance that rays start above the surface.
         rows: (U,) samples that take part in the light solve; all are seen by two views or more.
         pairs: Neighbours among them.
-        exposures: Where the photographs were not exposed alike, what tells how; else None.
-        known_paint: A spot whose paint the user tells, if any.
-        sun: (3,) unit, towards the first sun, if the user tells it.
+        exposures: Where the photographs were not exposed alike, their exposures' model; else None.
+        known_albedo: A spot whose albedo the user knows, if any.
+        sun: (3,) unit, towards the first sun, if the user knows it.
     """
 
     transport: Transport
@@ -68,8 +68,8 @@ class Scene:
     offset: float
     rows: NDArray[np.int64]
     pairs: Pairs
-    exposures: Exposures | None = None
-    known_paint: KnownPaint | None = None
+    exposures: ExposureModel | None = None
+    known_albedo: KnownAlbedo | None = None
     sun: Floats | None = None
 
     def bounced(self, exitant: Tensor) -> Tensor:
@@ -87,14 +87,7 @@ class Scene:
     def sharp_transfer_at(
         self, points: tuple[Floats, Floats], axes: Floats, sharpness: Floats, samples: int
     ) -> Floats:
-        """The same (N, J) at any points.
-
-        Args:
-            points: Positions and normals, (N, 3) each, unit frame.
-            axes: (J, 3) of the lobes.
-            sharpness: (J,) of the lobes.
-            samples: Rays a lobe.
-        """
+        """The same (N, J) at positions and normals (N, 3), unit frame, by `samples` rays a lobe."""
         position, normal = points
         lobes = [
             lobe_directions(axis, float(width), samples)
@@ -120,15 +113,7 @@ def make_scene(
 ) -> Scene:
     """Choose the samples that take part and precompute the sky's transport.
 
-    Args:
-        transport: Baked transport.
-        tracer: Tracer of the mesh, or None where nothing blocks light.
-        offset: Distance that rays start above the surface.
-        sizes: Number of samples that take part and number of soft lobes.
-        rng: Source of randomness.
-
-    Returns:
-        The scene.
+    `sizes` are the numbers of samples and of soft lobes; rays start at `offset` above the surface.
     """
     num_rows, num_soft = sizes
     surfels = transport.surfels
@@ -156,7 +141,7 @@ class Problem:
         gains: How each photograph was exposed, under this curve.
         linear: (S, V, 3) radiance of every observation, at the common exposure.
         radiance: (S) diffuse radiance of all samples.
-        exitant: (S, 3) radiance that leaves all samples, of the hidden ones as it is judged.
+        exitant: (S, 3) radiance that leaves all samples; estimated for the hidden ones.
         indirect: (S, 3) irradiance of all samples from other surfaces.
     """
 
@@ -174,11 +159,7 @@ class Problem:
         return replace(self, radiance=radiance)
 
     def by_every_sample(self, rng: np.random.Generator) -> Problem:
-        """The problem in which every sample takes part that two views see.
-
-        Args:
-            rng: Source of the neighbours.
-        """
+        """The problem in which every sample takes part that two views see."""
         return self.by_samples(np.flatnonzero(self.radiance.seen), rng)
 
     def by_samples(self, rows: NDArray[np.int64], rng: np.random.Generator) -> Problem:
@@ -201,15 +182,7 @@ class Problem:
 
 
 def make_problem(scene: Scene, curve: AbstractToneCurve) -> Problem:
-    """Undo a tone curve and gather what it makes known.
-
-    Args:
-        scene: The scene.
-        curve: Tone curve to undo.
-
-    Returns:
-        The problem, highlights included.
-    """
+    """Undo a tone curve and gather what it makes known, highlights included."""
     observations = scene.transport.observations
     gains = Gains({}) if scene.exposures is None else scene.exposures.gains(curve)
     linear = linear_observations(observations, curve, gains, scene.transport.surfels.normal)
@@ -231,13 +204,8 @@ def make_problem(scene: Scene, curve: AbstractToneCurve) -> Problem:
 def with_hidden(scene: Scene, total: Radiance) -> Tensor:
     """Radiance (S, 3) of all samples, of those that no camera sees by what reaches them.
 
-    They lie inside and underneath: the less sky they see, the darker they are. What they lack of
-    the sky they get, a little, from each other and from what is seen. A white plate is white
-    underneath: with one albedo for all, the ground about it got too little light.
-
-    Args:
-        scene: The scene.
-        total: Radiance of all samples, right where `seen`.
+    Hidden ones are darker the less sky they see; a little comes from each other and from what is
+    seen, by the albedo of what lies about them.
     """
     exitant, hidden = total.linear.clone(), ~total.seen
     if not hidden.any() or hidden.all():
@@ -254,12 +222,9 @@ def with_hidden(scene: Scene, total: Radiance) -> Tensor:
 
 
 def _hidden_albedo(scene: Scene, total: Radiance, median: Tensor) -> Tensor:
-    """Albedo (H, 3) of the hidden samples, from the brighter seen ones about them.
+    """Albedo (H, 3) of hidden samples by the brighter seen ones about them.
 
-    Args:
-        scene: The scene.
-        total: Radiance of all samples, right where `seen`.
-        median: (3,) radiance of what is seen, that of a surface of `MEAN_ALBEDO`.
+    `median` (3,) is the radiance of a surface of `MEAN_ALBEDO`.
     """
     position, seen = scene.transport.surfels.position, total.seen.numpy()
     count = min(_LOOK_ALIKES, int(seen.sum()))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What shade tells of the light: which pairs across a shadow count, and how much."""
+"""Pairs of samples across a shadow: which count, and how much."""
 
 from __future__ import annotations
 
@@ -22,18 +22,9 @@ def irradiance_doubt(irradiance: Tensor) -> Tensor:
 
 
 def well_lit(parts: list[Pairs], irradiance: Tensor) -> list[Pairs]:
-    """Pairs across shadows, those counting more whose shaded end's irradiance is well known.
+    """Pairs, a list a sun, shaded end first, weighted by how well its irradiance is known.
 
-    In the gap below an object little light arrives and a mesh that is a trifle off changes it by
-    half, while open shade is what is seen: where gaps held as many samples of a chessboard's shade,
-    the sky came out a third too weak for its open ground.
-
-    Args:
-        parts: Pairs of the U samples, a list a sun, the shaded end first.
-        irradiance: (U, 3) by the light as it is known.
-
-    Returns:
-        The same pairs.
+    In the gap below an object a mesh that is a trifle off changes the light (U, 3) by half.
     """
     doubt = irradiance_doubt(irradiance)
     doubt = doubt / STEP_WIDTH
@@ -41,17 +32,12 @@ def well_lit(parts: list[Pairs], irradiance: Tensor) -> list[Pairs]:
 
 
 def of_one_material(parts: list[Pairs], log_albedo: Tensor, clipped: Tensor) -> Pairs:
-    """Pairs with one end out of a sun's light, those counting more that are of one material.
-
-    These are alike but for the step that all pairs of one material show.
+    """Pairs of all suns, weighted by how alike they are but for the step that all share.
 
     Args:
         parts: Pairs of the U samples, a list a sun, the end out of its light first.
         log_albedo: (U, 3) under the light as it is known.
         clipped: (U, 3) bool, of the samples' radiance.
-
-    Returns:
-        The pairs of all suns.
     """
     weighted = []
     for part in parts:

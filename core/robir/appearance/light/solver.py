@@ -18,15 +18,15 @@ from robir.appearance.light.lobes import (
     log_sent,
     solve_amplitudes,
 )
+from robir.appearance.light.prior import LightPrior
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.shade import of_one_material, well_lit
 from robir.appearance.light.sunlight import Sunlight
-from robir.appearance.light.told import Told
 from robir.appearance.photometry.statistics import Pairs
 
 Floats = NDArray[np.float32]
 
-# difference in hue at which neighbours hardly are one paint, once a light is known. Sky and sun
+# difference in hue at which neighbours hardly are one material, once a light is known. Sky and sun
 # differ in hue as well, and the sky is not known well. From 0.1 to 0.4 all gives about the same
 # (log albedo)
 _NEIGHBOUR_HUE = 0.2
@@ -82,18 +82,7 @@ def fit(
     iterations: int,
     start: Amplitudes | None = None,
 ) -> Light:
-    """Strengths of all lobes for fixed suns.
-
-    Args:
-        problem: Scene under a tone curve.
-        axes: (J, 3) of the sharp lobes.
-        sharpness: (J,).
-        iterations: Adam steps.
-        start: Where to begin.
-
-    Returns:
-        The light.
-    """
+    """Strengths of all lobes for fixed suns, of axes (J, 3) and sharpness (J,)."""
     transfer, sunlight = _lit_by(problem, axes, sharpness)
     amplitudes, loss = solve_amplitudes(
         problem.rows_radiance(problem.scene.rows),
@@ -111,33 +100,27 @@ def _lit_by(problem: Problem, axes: Floats, sharpness: Floats) -> tuple[Transfer
     sharp = problem.scene.sharp_transfer(axes, sharpness, problem.scene.rows)
     sunlight = Sunlight.of(problem, axes)
     transfer = problem.transfer(sharp, problem.scene.rows)
-    return replace(transfer, sure=sunlight.is_sure()), sunlight
+    return replace(transfer, certain=sunlight.is_certain()), sunlight
 
 
-def refit(problem: Problem, light: Light, told: Told, config: AppearanceConfig) -> Light:
+def refit(problem: Problem, light: Light, prior: LightPrior, config: AppearanceConfig) -> Light:
     """Strengths once more, shadows deciding between sky and suns.
 
-    The neighbour loss prefers a weak sun: errors of the normals change what a sun sends, hardly
-    what a sky does. Across a shadow, at equal normals, they cancel; but on a checkered ground most
-    such pairs are of two materials. Those alike under the light that is known count, and count
-    more: alike but for the step that all pairs of one material show, or a light too weak in the sun
-    would confirm itself where bright fields in the shade pass for dark ones in the sun.
-
-    Neighbours of another hue are another paint, and say nothing of its brightness.
+    The neighbour loss prefers a weak sun, as errors of normals change a sun's light and hardly a
+    sky's. Across a shadow, at equal normals, they cancel. Pairs that are alike but for their common
+    step count most there, or a weak sun would confirm itself on a checkered ground. Neighbours of
+    another hue say nothing of each other's brightness.
 
     Args:
         problem: Scene under a tone curve, highlights removed if known.
         light: Solved light.
-        told: What evidence tells of it as a whole.
+        prior: Of the light as a whole.
         config: Sizes.
-
-    Returns:
-        The light.
     """
     radiance = problem.rows_radiance(problem.scene.rows)
     transfer, sunlight = _lit_by(problem, light.axes, light.sharpness)
     sent = log_sent(light.amplitudes.irradiance(transfer), transfer.indirect)
-    light = light.tinted(told.missing(sent))
+    light = light.tinted(prior.missing(sent))
     irradiance = light.amplitudes.irradiance(transfer)
     log_albedo = log_ratio(radiance.linear, irradiance)
     across = well_lit(sunlight.across_shadows(), irradiance)
@@ -148,7 +131,7 @@ def refit(problem: Problem, light: Light, told: Told, config: AppearanceConfig) 
     priors = Priors(
         smooth=_SMOOTH,
         shadow=_SHADOW,
-        told=told,
+        light=prior,
         far=_FAR,
     )
     amplitudes, loss = solve_amplitudes(
@@ -157,4 +140,4 @@ def refit(problem: Problem, light: Light, told: Told, config: AppearanceConfig) 
     solved = replace(light, amplitudes=amplitudes, loss=loss)
     # pairs tell ratios; the level by which they are most alike is that of the mesh's errors
     sent = log_sent(amplitudes.irradiance(transfer), transfer.indirect)
-    return solved.tinted(told.missing(sent))
+    return solved.tinted(prior.missing(sent))

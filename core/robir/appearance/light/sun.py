@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Finding the suns: a dense scan over directions, then a shrinking search with traced rays.
 
-For a candidate direction the irradiance is a grey sky plus the measured bounce plus the candidate
-at one of several strengths; the score is the mean absolute difference of log albedo between
-neighbours (light.py). A sun whose shadows lie where the photographs show them removes every
-shadow edge at once, so its score drops sharply, and only near the right direction: the scan must be
-dense, and every candidate is blurred by the spacing of the scan so that none is stepped over.
+A candidate adds to a grey sky and the measured bounce at one of several strengths. Its score is the
+mean absolute difference of log albedo between neighbours (lobes.py). It drops sharply only near the
+right direction, so the scan is dense, and candidates are blurred by its spacing.
 """
 
 from __future__ import annotations
@@ -44,7 +42,7 @@ _BASIN = 1.5  # spacings of the scan within which a candidate must be the best
 SEPARATION = 0.3
 # directions about a candidate that are compared anew by more samples: along a shadow that runs off
 # the ground those of the scan may not tell a sun from a lower place
-_NUM_RIVALS = 12
+_NUM_ALTERNATIVES = 12
 _NUM_STARTS = 3  # of these, how many the search begins from
 _NUM_ROUNDS = 4  # rings of the search
 _SHRINKING = 0.6  # radius of a ring over that of the one before
@@ -61,8 +59,8 @@ class SunProblem:
         position: (U, 3) unit frame.
         normal: (U, 3) unit.
         radiance: Of the U samples.
-        base: (U, 3) irradiance of the lights that are already known, or of a grey sky, per unit
-            strength of that light.
+        base: (U, 3) irradiance of the known lights or of a grey sky, per unit strength of that
+            light.
         indirect: (U, 3) irradiance from surfaces.
         pairs: Over the U samples.
         tracer: Tracer of the mesh, or None where nothing blocks.
@@ -106,7 +104,8 @@ class SunCandidate:
         gain: How much lower that is than without any sun, as a share.
         lit: Share of the samples that it lights.
         least_lit: Share that it must light to be a sun.
-        rivals: (R, 3) other directions that the scan takes for the same light, lowest loss first.
+        alternatives: (R, 3) other directions that are the same light to the scan, lowest loss
+            first.
     """
 
     axis: Floats
@@ -114,19 +113,13 @@ class SunCandidate:
     gain: float
     lit: float = 1.0
     least_lit: float = 0.0
-    rivals: Floats = field(default_factory=lambda: np.zeros((0, 3), np.float32))
+    alternatives: Floats = field(default_factory=lambda: np.zeros((0, 3), np.float32))
 
 
 def candidate_loss(problem: SunProblem, transfer: Tensor) -> tuple[Tensor, Tensor]:
-    """Loss of each candidate at every strength.
+    """Losses (C, G) of candidates at every strength, and (1,) without a sun.
 
-    Args:
-        problem: The samples.
-        transfer: (C, U) visibility times cosine of each candidate.
-
-    Returns:
-        Losses (C, G) summed over channels, each channel at the strength common to all; and the
-        loss (1,) without any sun.
+    Summed over channels; `transfer` (C, U) is visibility times cosine of each candidate.
     """
     wanted = (np.pi * problem.radiance.linear.mean(1) / START_ALBEDO).median()
     weights = PairWeights.of(problem.pairs, problem.radiance.clipped)
@@ -151,16 +144,7 @@ def candidate_loss(problem: SunProblem, transfer: Tensor) -> tuple[Tensor, Tenso
 
 
 def scan(problem: SunProblem, count: int, keep: int) -> list[SunCandidate]:
-    """Lowest points of a dense scan, far enough apart to be different lights.
-
-    Args:
-        problem: The samples.
-        count: Directions over the whole sphere.
-        keep: Candidates returned at most.
-
-    Returns:
-        Candidates, lowest loss first.
-    """
+    """Lowest points of a scan of `count` directions, far enough apart to be other lights."""
     directions = fibonacci_sphere(count).numpy().astype(np.float32)
     bits = _trace_directions(problem, directions)
     cosine = np.clip(directions @ problem.normal.T, 0, None)
@@ -200,7 +184,7 @@ def scan(problem: SunProblem, count: int, keep: int) -> list[SunCandidate]:
                 gain=1 - loss / float(without),
                 lit=float(lit[indices[index]]),
                 least_lit=least_lit,
-                rivals=ordered[same][:_NUM_RIVALS],
+                alternatives=ordered[same][:_NUM_ALTERNATIVES],
             )
         )
         if len(chosen) == keep:
@@ -222,15 +206,9 @@ def _trace_directions(problem: SunProblem, directions: Floats) -> Floats:
 
 
 def refine(problem: SunProblem, start: SunCandidate, reach: float) -> SunCandidate:
-    """Shrinking search around a direction and its rivals, every trial traced anew.
+    """Shrinking search around a direction and its alternatives, every trial traced anew.
 
-    Args:
-        problem: The samples, more than the scan's.
-        start: Where to begin.
-        reach: Radius of the first ring, radians.
-
-    Returns:
-        The best direction found.
+    `reach` is the radius of the first ring, radians.
     """
     best, heads = start, _best_starts(problem, start, reach)
     tried: list[SunCandidate] = []
@@ -246,17 +224,17 @@ def refine(problem: SunProblem, start: SunCandidate, reach: float) -> SunCandida
                 *ring(head, radius / 2, 4, 0.5).astype(np.float32),
             )
         ]
-        judged = _judged(problem, trials, sharpness)
-        best = min(judged, key=lambda candidate: candidate.loss)
+        scored = _scored(problem, trials, sharpness)
+        best = min(scored, key=lambda candidate: candidate.loss)
         heads = [best.axis]
-        tried += judged
+        tried += scored
     axes = np.stack([candidate.axis for candidate in tried])
     losses = np.array([candidate.loss for candidate in tried])
     lowest = lowest_point(best.axis, axes, losses)
     return replace(best, axis=lowest, least_lit=start.least_lit)
 
 
-def _judged(problem: SunProblem, axes: list[Floats], sharpness: float) -> list[SunCandidate]:
+def _scored(problem: SunProblem, axes: list[Floats], sharpness: float) -> list[SunCandidate]:
     """Directions as lobes of some sharpness, each at its best strength."""
 
     def traced(axis: Floats) -> Floats:
@@ -274,27 +252,20 @@ def _judged(problem: SunProblem, axes: list[Floats], sharpness: float) -> list[S
 
 def _best_starts(problem: SunProblem, start: SunCandidate, reach: float) -> list[Floats]:
     """The best of a candidate and its rivals, none within `reach` of a better one."""
-    if not len(start.rivals):
+    if not len(start.alternatives):
         return [start.axis]
-    judged = _judged(problem, [start.axis, *start.rivals], 2 / reach**2)
+    scored = _scored(problem, [start.axis, *start.alternatives], 2 / reach**2)
     starts: list[Floats] = []
-    for candidate in sorted(judged, key=lambda candidate: candidate.loss):
+    for candidate in sorted(scored, key=lambda candidate: candidate.loss):
         if all(float(candidate.axis @ other) < np.cos(reach) for other in starts):
             starts.append(candidate.axis)
     return starts[:_NUM_STARTS]
 
 
 def lowest_point(best: Floats, axes: Floats, losses: NDArray[np.float64]) -> Floats:
-    """Lowest point of a paraboloid through the losses of directions near the best.
+    """Lowest point (3,), unit, of a paraboloid through losses (T,) of directions (T, 3).
 
-    Args:
-        best: (3,) unit, about where the lowest point is.
-        axes: (T, 3) unit directions that were tried.
-        losses: (T,) of them.
-
-    Returns:
-        (3,) unit, at most half of that from the best; that itself where the losses do not curve
-        upwards.
+    At most half of `_SMOOTHING` from the best; that itself where the losses do not curve upwards.
     """
     across = np.stack(tangents(best))
     near = axes @ best > np.cos(_SMOOTHING)

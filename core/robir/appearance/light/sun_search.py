@@ -55,15 +55,7 @@ _POLISH_REACH = 0.03  # radius of the first ring of the search then (radians)
 def find_suns(problem: Problem, config: AppearanceConfig, seed: int) -> Light:
     """Add sharp lobes one at a time while each explains shadows that nothing else does.
 
-    All is judged by pairs that face alike.
-
-    Args:
-        problem: Scene under a tone curve.
-        config: Sizes.
-        seed: Of the sub-samples.
-
-    Returns:
-        The light with its suns, strengths from short solves.
+    All is compared by pairs that face alike; strengths are from short solves.
     """
     scene = problem.scene
     normal = scene.transport.surfels.normal[scene.rows]
@@ -76,14 +68,14 @@ def find_suns(problem: Problem, config: AppearanceConfig, seed: int) -> Light:
     for index in range(config.num_sharp_lobes):
         refined = _searched(problem, light, config, index, seed)
         best = _best_addition(problem, light, refined, trial)
-        is_told = index == 0 and scene.sun is not None
-        if best is None or (best.loss > light.loss and not is_told):
+        is_known = index == 0 and scene.sun is not None
+        if best is None or (best.loss > light.loss and not is_known):
             break
         is_seen = _casts_shadow(problem, light, best)
         gains = 1 - best.loss / light.loss > _LEAST_GAIN
         # The first sun may be known from its shadow, however small, or from its shading alone, as
         # on a lone convex object; a further one needs both.
-        if not (is_told or (is_seen or gains if index == 0 else is_seen and gains)):
+        if not (is_known or (is_seen or gains if index == 0 else is_seen and gains)):
             break
         light = best
         losses.append(light.loss)
@@ -93,21 +85,13 @@ def find_suns(problem: Problem, config: AppearanceConfig, seed: int) -> Light:
 def _searched(
     problem: Problem, light: Light, config: AppearanceConfig, index: int, seed: int
 ) -> list[SunCandidate]:
-    """Where the next sun may be: about the direction that the user tells, or all that a scan finds.
-
-    Args:
-        problem: Scene under a tone curve.
-        light: With the suns that are known.
-        config: Sizes.
-        index: How many these are.
-        seed: Of the sub-samples.
-    """
-    rng, told = np.random.default_rng(seed + index), problem.scene.sun
+    """Where the next sun may be: about the user's direction, or all that a scan finds."""
+    rng, known_sun = np.random.default_rng(seed + index), problem.scene.sun
     base = None if index == 0 else _direct(problem, light)
     coarse = _sub_sampled(problem, base, _SCAN_SAMPLES, rng)
     fine = _sub_sampled(problem, base, config.num_solve_surfels, rng)
-    if index == 0 and told is not None:
-        candidates = [SunCandidate(axis=told, loss=np.inf, gain=0.0)]
+    if index == 0 and known_sun is not None:
+        candidates = [SunCandidate(axis=known_sun, loss=np.inf, gain=0.0)]
     else:
         scanned = scan(coarse, config.num_scan_directions, _NUM_CANDIDATES)
         candidates = _promising(scanned, is_first=index == 0)
@@ -129,8 +113,7 @@ def _promising(candidates: list[SunCandidate], *, is_first: bool) -> list[SunCan
 def _casts_shadow(problem: Problem, before: Light, after: Light) -> bool:
     """Whether the photographs show the shadow of the sun that was added last.
 
-    A further lobe lowers the loss wherever the mesh is wrong; only one whose own shadow agrees
-    with the photographs is a light.
+    A further lobe lowers the loss wherever the mesh is wrong; its own shadow tells a light.
     """
     (pairs,) = Sunlight.of(problem, after.axes[-1:]).across_shadows()
     if not len(pairs.first):
@@ -169,17 +152,7 @@ def _best_addition(
 
 
 def polish(problem: Problem, light: Light, config: AppearanceConfig, seed: int) -> Light:
-    """Directions and sizes of the suns with the whole light known, then the strengths for these.
-
-    Args:
-        problem: Scene under a tone curve.
-        light: Light from `find_suns`.
-        config: Sizes.
-        seed: Of the sub-samples.
-
-    Returns:
-        The light, for `refit`.
-    """
+    """Directions and sizes of the suns with the whole light known, then the strengths for these."""
     axes, sharpness = light.axes.copy(), light.sharpness.copy()
     seen = np.flatnonzero(problem.radiance.seen)
     for index in range(len(axes)):

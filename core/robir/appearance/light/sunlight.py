@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where suns shine for sure: beside shadows, and where no error of the mesh turns them."""
+"""Samples that are certainly lit by a sun or shaded from it, whatever the mesh errs by."""
 
 from __future__ import annotations
 
@@ -62,12 +62,14 @@ class Sunlight:
         columns = zip(lit.T, dark.T, strict=True)
         return [shadow_pairs(self.position, self.normal, *sides) for sides in columns]
 
-    def is_sure(self) -> Tensor:
-        """Bool (U,), whether an error of the mesh would neither give nor take a sun.
+    def is_certain(self) -> Tensor:
+        """Bool (U,), no error of the mesh gives or takes a sun.
 
         All, should that leave fewer than half.
         """
         is_part = (self.share > _EDGE_SHARE) & (self.share < 1 - _EDGE_SHARE)
         is_edge = (self.cosine > 0) & is_part
-        sure = ~(is_edge | (np.abs(self.cosine) < _GRAZING_COSINE)).any(1)
-        return torch.from_numpy(sure if 2 * sure.sum() > len(sure) else np.ones_like(sure))
+        certain = ~(is_edge | (np.abs(self.cosine) < _GRAZING_COSINE)).any(1)
+        return torch.from_numpy(
+            certain if 2 * certain.sum() > len(certain) else np.ones_like(certain)
+        )

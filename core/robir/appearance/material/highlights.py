@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What highlights say of the roughness of each patch of paint, and what patches say of each other.
+"""What highlights say of the roughness of each patch of dielectric, and patches of each other.
 
-Two things are read. How well a roughness predicts the views near a sun's mirror direction is exact
-where the mesh is right. Where it is a few degrees off, a narrow highlight is predicted beside the
-true one and counts twice, as if there were none; but it is as bright there as it would be here. So
-the brightest views of a patch are compared with the brightest predicted, wherever they are.
+Views near a sun's mirror direction are exact where the mesh is right. Where it is a few degrees
+off, a narrow highlight is predicted beside the true one, but as bright. So the brightest views of a
+patch are also compared with the brightest predicted, wherever they are.
 """
 
 from __future__ import annotations
@@ -50,7 +49,7 @@ _ALIKE = 1.0
 
 
 def grid_of() -> Reals:
-    """Roughnesses (G,) whose likelihood is told: every one that paint may have."""
+    """Roughnesses (G,) whose likelihood is estimated: all that a dielectric may have."""
     return np.linspace(_LEAST_ROUGHNESS, 1.0, round((1.0 - _LEAST_ROUGHNESS) / STEP) + 1)
 
 
@@ -63,8 +62,7 @@ class Highlights:
         plain: (U,) the same without any highlight.
         count: (U,) number of near views.
         sample: (N,) sample of each near view.
-        seen: (N, L) what it shows beyond the light that is no sun's highlight, display, 0..1; that
-            light depends on the level.
+        seen: (N, L) what it shows beyond the light that is no sun's highlight, display, 0..1.
         predicted: (N, L) the sun's highlight in it.
         other: (M,) sample of each other view.
         noise: (M, L) what these show beyond what is predicted.
@@ -97,7 +95,7 @@ class Highlights:
 
 @dataclass(frozen=True, slots=True)
 class Readings:
-    """Roughness of those of the patches whose highlights say something.
+    """Roughness of those patches whose highlights say something.
 
     Attributes:
         patch: (R,) their numbers.
@@ -116,16 +114,9 @@ class Readings:
 
 
 def read(highlights: Highlights, patch: Rows, num_patches: int) -> Readings:
-    """Roughness of every patch by its own highlights alone.
+    """Roughness of every patch (U,), below `num_patches`, by its own highlights alone.
 
-    Args:
-        highlights: Of U samples.
-        patch: (U,) of each, below `num_patches`.
-        num_patches: K.
-
-    Returns:
-        What is left of each once the roughness that is likely anyhow is taken out, so that patches
-        that say little weigh little.
+    The prior is taken out again, so that patches that say little weigh little.
     """
     steady, grid = _steady(highlights, patch, _STEADY_SHARE), grid_of()
     highlights, patch = highlights.of(steady), patch[steady]
@@ -135,10 +126,10 @@ def read(highlights: Highlights, patch: Rows, num_patches: int) -> Readings:
     peaks = -0.5 * (_peak_ratios(highlights, patch, known) / _PEAK_ERROR) ** 2
     believed = count[known] / (count[known] + _HALF_BELIEVED)
     log = (fit + _on_grid(peaks)) * believed[:, None]
-    likely = np.exp(log - log.max(1, keepdims=True))
-    likely /= likely.sum(1, keepdims=True)
-    mean = likely @ grid
-    variance = (likely * (grid - mean[:, None]) ** 2).sum(1)
+    likelihood = np.exp(log - log.max(1, keepdims=True))
+    likelihood /= likelihood.sum(1, keepdims=True)
+    mean = likelihood @ grid
+    variance = (likelihood * (grid - mean[:, None]) ** 2).sum(1)
     anyhow = float(grid.var())
     precision = 1 / variance - 1 / anyhow
     says = precision > 0.5
@@ -149,13 +140,7 @@ def read(highlights: Highlights, patch: Rows, num_patches: int) -> Readings:
 
 
 def _steady(highlights: Highlights, patch: Rows, share: float) -> NDArray[np.bool_]:
-    """Those (U,) of the samples whose views away from highlights err less than others' on a patch.
-
-    Args:
-        highlights: Of U samples.
-        patch: (U,) of each.
-        share: Of the samples of each patch that are taken.
-    """
+    """Samples (U,) bool, `share` of each patch: those whose views off highlights err least."""
     size = len(patch)
     total = np.bincount(highlights.other, np.abs(highlights.noise).mean(1), size)
     error = total / np.bincount(highlights.other, minlength=size).clip(1)
@@ -167,16 +152,11 @@ def _steady(highlights: Highlights, patch: Rows, share: float) -> NDArray[np.boo
 
 
 def fit_of(codes: Reals, plain: Reals) -> Reals:
-    """Log likelihood (R, G) of roughnesses.
-
-    Args:
-        codes: (R, L) that a near view differs by at every level.
-        plain: (R,) without any highlight.
-    """
+    """Log likelihood (R, G) of roughnesses, by codes (R, L) of error and (R,) without highlight."""
     left = 1 - _ROUGH_SHARE
     rough = codes[:, -1] + left * np.maximum(plain - codes[:, -1], 0)
-    likely = -_STEEPNESS * np.log(np.c_[codes, rough] + _UNSEEN_CODES)
-    return _on_grid(likely)
+    likelihood = -_STEEPNESS * np.log(np.c_[codes, rough] + _UNSEEN_CODES)
+    return _on_grid(likelihood)
 
 
 def _on_grid(values: Reals) -> Reals:
@@ -190,8 +170,7 @@ def _costs(
 ) -> tuple[Reals, Reals]:
     """Codes (R, L) that a near view differs by at every level, and (R,) without any highlight.
 
-    A narrow highlight in the wrong place is worse than none. That speaks against the place, so at
-    the `_NARROW` first levels it costs no more than none would.
+    A narrow highlight in the wrong place speaks against the place: it costs no more than none.
     """
     columns = [*highlights.error.T, highlights.plain]
     sums = np.array([np.bincount(patch, column, len(count))[known] for column in columns])
@@ -201,9 +180,9 @@ def _costs(
 
 
 def _peak_ratios(highlights: Highlights, patch: Rows, known: Rows) -> Reals:
-    """Log (R, L + 1) of the brightest near views over the brightest that are predicted.
+    """Log (R, L + 1) of the brightest near views over the brightest predicted.
 
-    Errors of mesh and albedo brighten some views as well; the other views tell by how much.
+    Errors of mesh and albedo brighten views as well; by how much is seen in the other views.
     """
     near, far = patch[highlights.sample], patch[highlights.other]
     result = np.zeros((len(known), len(LEVELS) + 1))
@@ -227,14 +206,9 @@ def _brightest(values: Floats, share: float) -> Reals:
 
 
 def pooled(readings: Readings, features: Reals) -> Reals:
-    """Roughness (K,) of all patches, each from its own reading and those of patches like it.
+    """Roughness (K,) of all patches, from readings of them and of those like them (kriging).
 
-    Kriging: patches alike in albedo and place are expected to be alike in roughness. What has no
-    reading goes by what is like it, and where nothing is by the mean of the scene.
-
-    Args:
-        readings: Of some of the patches.
-        features: (K, D) log albedo and place of all.
+    `features` (K, D) are log albedo and place; far from all readings it is the mean.
     """
     grid = grid_of()
     apart = ((features[:, None] - features[None]) ** 2).sum(2)

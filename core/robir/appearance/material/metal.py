@@ -2,11 +2,9 @@
 """Which samples are metal, and the base colour and roughness of each metal part.
 
 Polished metal shows its surroundings, displaced by every error of the mesh, so one sample's views
-say little. Three figures of a neighbourhood tell metal: how badly paint explains its views, how
-much better metal does, and whether that is as bright as metals are. How much each of them tells was
-measured on captures whose truth is known (logistic regression), and the log odds of many
-neighbourhoods are averaged over the surface. How bright the light is nobody knows well where most
-of a scene is metal, so that how dark it reads forbids nothing by itself.
+say little. Three figures of a neighbourhood are weighed: how badly a dielectric explains its views,
+how much better metal does, and whether it is as bright as metals are (logistic regression on
+captures of known truth). The log odds of many neighbourhoods are averaged over the surface.
 """
 
 from __future__ import annotations
@@ -25,7 +23,7 @@ from robir.appearance.material.highlights import LEVELS
 from robir.appearance.material.observed import dense, looked_at
 from robir.appearance.material.reflections import Reflections, ViewRays, tilts_of
 from robir.appearance.material.segments import pieces
-from robir.appearance.material.trial import Trial
+from robir.appearance.material.trial import MaterialTrial
 from robir.workers import num_workers, side_by_side
 
 Floats = NDArray[np.float32]
@@ -38,7 +36,7 @@ HUE_OF_LOG = np.array([[-1.0, 0.0, 1.0], [-0.5, 1.0, -0.5]])
 LOG_OF_HUE = np.linalg.pinv(HUE_OF_LOG)
 """Log colours, but for their mean, of these two."""
 
-_PER_PAINT_ERROR = 1.4  # log odds per logarithm of the display error, codes, that paint leaves
+_PER_DIELECTRIC_ERROR = 1.4  # log odds per logarithm of the display error, codes, that paint leaves
 _PER_METAL_ERROR = -2.98  # the same of metal's error over paint's
 _PER_BRIGHTNESS = -1.26  # the same of bright metal's error over that of any
 _CONSTANT = -1.3  # log odds where all these are 0
@@ -48,13 +46,13 @@ _MOST_ODDS = 4.0  # log odds, either way, that one neighbourhood may tell
 # shade
 _TILTS_TOGETHER = 4  # tilts of the normal tried at a time: each holds all observations
 _NUM_LEVELS = 5
-_JUDGED = 3400  # samples that are judged; the others go by those about them
+_NUM_CLASSIFIED = 3400  # samples that are judged; the others go by those about them
 _NEIGHBOURS = 8  # of these, those that judge together under one roughness
-_WITNESSES = 12  # of these, those whose log odds are averaged
-_LIKELY = 0.5  # log odds from which a sample may be part of metal
+_NUM_AVERAGED = 12  # of these, those whose log odds are averaged
+_CANDIDATE_ODDS = 0.5  # log odds from which a sample may be part of metal
 # mean log odds from which such a part is metal: paint that is taken for metal costs a good albedo
 # more than metal that is missed costs a bad one
-_CERTAIN = 2.45
+_METAL_ODDS = 2.45
 _GAP = 3.0  # gap, in spacings of the judged samples, across which samples belong to one part
 _FEWEST = 8  # judged samples of a part
 _BRIGHTEST_CHANNEL = 0.5  # brightest channel that bright metal has at least
@@ -93,34 +91,32 @@ class MetalParts:
         return MetalParts(number[self.part], self.base[kept], self.roughness[kept])
 
 
-def metal_among(
+def find_metal(
     solved: tuple[Problem, Light],
     rows: Rows,
     alike: tuple[Floats, Floats],
-    trial: Trial,
+    trial: MaterialTrial,
     dielectric: Floats,
 ) -> MetalParts:
-    """Parts of samples (U,) that are likely metal.
-
-    Some samples are judged, and the others go by those about them.
+    """Parts of samples (U,) that are likely metal; some are classified and speak for others.
 
     Args:
         solved: Scene under a tone curve, and its light.
         rows: The samples.
-        alike: (U, 9) points by which they are judged together, and (U, 3) log hues.
+        alike: (U, 9) points by which they are classified together, and (U, 3) log hues.
         trial: The samples in all views.
         dielectric: (U, L) mean display error over each one's views at every roughness.
     """
     (problem, light), (points, hue) = solved, alike
     surfels = problem.scene.transport.surfels
-    judged = np.arange(0, len(rows), -(-len(rows) // _JUDGED) or 1)
-    metal = metal_errors(problem, light, rows[judged])
-    together = near(points[judged], points[judged], _NEIGHBOURS)
-    witnesses = near(points[judged], points, _WITNESSES)
-    odds = metal_odds(dielectric[judged], metal, together)[witnesses].mean(1)
-    nearest = witnesses[:, 0]
+    classified = np.arange(0, len(rows), -(-len(rows) // _NUM_CLASSIFIED) or 1)
+    metal = metal_errors(problem, light, rows[classified])
+    together = near(points[classified], points[classified], _NEIGHBOURS)
+    averaged = near(points[classified], points, _NUM_AVERAGED)
+    odds = metal_odds(dielectric[classified], metal, together)[averaged].mean(1)
+    nearest = averaged[:, 0]
     spacing = surfels.spacing * float(np.sqrt(len(surfels) / len(rows)))
-    place = surfels.position[rows], hue[judged][together].mean(1)[nearest], spacing
+    place = surfels.position[rows], hue[classified][together].mean(1)[nearest], spacing
     observed = trial.reflections, trial.rays, trial.seen.linear
     return metal_parts(odds, place, observed, metal[0][nearest])
 
@@ -134,20 +130,10 @@ def near(points: Floats, places: Floats, count: int) -> Rows:
 
 
 def metal_errors(problem: Problem, light: Light, rows: Rows) -> tuple[Floats, Floats]:
-    """Mean display error of samples as metal, each with its own base colour and tilt of its normal.
+    """Mean display error (U, L) of samples as metal of any base colour, and of a bright one.
 
-    What metal shows moves by twice the normal's error, so each sample's normal may be as far off as
-    a mesh's usually are. A dark metal explains glossy dark paint, and whatever a wrong mesh makes
-    of paint, better than paint does: so the base colour is tried as it fits best, and no darker
-    than that of any metal.
-
-    Args:
-        problem: Scene under a tone curve.
-        light: Its light.
-        rows: (U,) samples.
-
-    Returns:
-        (U, L) each at the roughnesses of metal, of any base colour and of bright ones.
+    Each with its own base colour and tilt of its normal, as what metal shows moves by twice the
+    normal's error. A dark metal explains dark glossy paint, so a bright base is tried as well.
     """
     levels = LEVELS[:_NUM_LEVELS]
     reflections, rays, seen, valid = looked_at(problem, light, rows)
@@ -176,20 +162,17 @@ def metal_errors(problem: Problem, light: Light, rows: Rows) -> tuple[Floats, Fl
 def metal_odds(
     dielectric: Floats, metal: tuple[Floats, Floats], around: Rows
 ) -> NDArray[np.float64]:
-    """Log odds (U,) that neighbourhoods are of metal.
+    """Log odds (U,) that neighbourhoods `around` (U, C) are of metal.
 
-    Args:
-        dielectric: (U, L) mean display error over each sample's views as paint at every roughness.
-        metal: The same as metal, from `metal_errors`.
-        around: (U, C) samples that judge together with each.
+    By mean display errors (U, L) as dielectric, and as metal from `metal_errors`.
     """
-    paint, free, bright = (
+    matched, free, bright = (
         errors[around].mean(1).min(1).clip(1e-6) for errors in (dielectric, *metal)
     )
     odds = (
         _CONSTANT
-        + _PER_PAINT_ERROR * np.log(255 * paint + 0.5)
-        + _PER_METAL_ERROR * np.log((free / paint).clip(_LEAST_RATIO))
+        + _PER_DIELECTRIC_ERROR * np.log(255 * matched + 0.5)
+        + _PER_METAL_ERROR * np.log((free / matched).clip(_LEAST_RATIO))
         + _PER_BRIGHTNESS * np.log(bright / free)
     )
     return odds.clip(-_MOST_ODDS, _MOST_ODDS)
@@ -201,21 +184,16 @@ def metal_parts(
     observed: tuple[Reflections, ViewRays, Tensor],
     errors: Floats,
 ) -> MetalParts:
-    """Gather metal samples into parts and read what each is made of.
-
-    A part reaches as far as its samples may be metal and are of one hue.
+    """Gather metal samples into parts of one hue and read what each is made of.
 
     Args:
         odds: (U,) log odds, as averaged over each sample's surroundings.
         place: Positions (U, 3), unit frame, log hues (U, 3) about them, and their spacing.
         observed: What the samples reflect, their rays (M), and the radiance (M, 3) that is seen.
         errors: (U, L) mean display error of each sample as metal.
-
-    Returns:
-        The parts.
     """
     levels = LEVELS[:_NUM_LEVELS]
-    rows = np.flatnonzero(odds > _LIKELY)
+    rows = np.flatnonzero(odds > _CANDIDATE_ODDS)
     position, hue, spacing = place
     piece, part = np.full(len(odds), -1), np.full(len(odds), -1)
     if len(rows):
@@ -225,7 +203,7 @@ def metal_parts(
     readings: dict[float, Floats] = {}
     for index in range(piece.max(initial=-1) + 1):
         inside = piece == index
-        if inside.sum() < _FEWEST or odds[inside].mean() < _CERTAIN:
+        if inside.sum() < _FEWEST or odds[inside].mean() < _METAL_ODDS:
             continue
         level = levels[int(errors[inside].mean(0).argmin())]
         if level not in readings:
@@ -236,7 +214,7 @@ def metal_parts(
         roughness.append(level)
         sizes.append(inside.sum())
     log = np.log(np.reshape(bases, (-1, 3)).clip(1e-3))
-    base = np.exp(likely_base(log, np.array(sizes)))
+    base = np.exp(base_colour_posterior(log, np.array(sizes)))
     return MetalParts(
         part=part,
         base=base.astype(np.float32),
@@ -244,19 +222,12 @@ def metal_parts(
     )
 
 
-def likely_base(read: Reals, count: NDArray[np.int64]) -> Reals:
-    """Log base colours (P, 3) of parts, from what they read and from what metals there are.
+def base_colour_posterior(read: Reals, count: NDArray[np.int64]) -> Reals:
+    """Posterior mean of the log base colours (P, 3) of parts read so by `count` (P,) samples each.
 
-    Most scenes hold one metal, so the parts of a scene are drawn from what all of them read, and
-    that from what metals there are (random effects, Laird and Ware 1982, "Random-effects models for
-    longitudinal data").
-
-    Args:
-        read: (P, 3) logarithms of what the parts read.
-        count: (P,) samples that tell each.
-
-    Returns:
-        Posterior means, none above 0.
+    The parts of a scene are drawn from what all of them read, and that from what metals there are
+    (random effects, Laird and Ware 1982, "Random-effects models for longitudinal data"). None above
+    0.
     """
     if not len(read):
         return read
@@ -273,16 +244,10 @@ def likely_base(read: Reals, count: NDArray[np.int64]) -> Reals:
 
 
 def _posterior(read: Reals, prior: tuple[Reals, Reals], chance: Reals | float) -> Reals:
-    """Posterior means (P, 3) of brightness and hue that are read so.
+    """Posterior means (P, 3) of brightness and hue read so, of a prior's mean and deviation (3,).
 
-    Some readings are wrong altogether: the error is a mixture, so that they are trusted the less
-    the farther they are from what was expected (Box and Tiao 1968, "A Bayesian approach to some
-    outlier problems").
-
-    Args:
-        read: (P, 3) brightness, blueness, greenness.
-        prior: Mean and deviation (3,) of the true ones.
-        chance: Errors of all readings, (P, 1), in those of the configuration.
+    The error is a mixture, as some readings are wrong altogether (Box and Tiao 1968, "A Bayesian
+    approach to some outlier problems"); `chance` (P, 1) scales it.
     """
     known, spread = prior
     off = read - known

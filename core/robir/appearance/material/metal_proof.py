@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which of the parts that may be metal are metal: those that this predicts better than paint."""
+"""Held-out test of parts that may be metal."""
 
 from __future__ import annotations
 
@@ -8,26 +8,20 @@ from numpy.typing import NDArray
 
 from robir.appearance.material.highlights import LEVELS
 from robir.appearance.material.metal import MetalParts
-from robir.appearance.material.trial import Trial
+from robir.appearance.material.trial import MaterialTrial
 from robir.jobs.choice import Choice
 
 Floats = NDArray[np.float32]
 
 
-def proven_parts(parts: MetalParts, trial: Trial, dielectric: Floats) -> tuple[MetalParts, Choice]:
-    """The parts that are metal unless photographs that had no part in their fit prove the contrary.
+def tested_parts(
+    parts: MetalParts, trial: MaterialTrial, dielectric: Floats
+) -> tuple[MetalParts, Choice]:
+    """The parts (numbered anew) that held-out photographs do not refute as metal, and the choice.
 
-    Each is compared with a dielectric, matt or of the roughness that fits it best, whichever is
-    better. What metal mirrors is displaced by normals that are a few degrees off, and squared
-    errors count that twice, so that true metal is hardly ever proven.
-
-    Args:
-        parts: As read from the photographs.
-        trial: The U samples.
-        dielectric: (U, L) display error of each sample as paint at every roughness, in those.
-
-    Returns:
-        The proven parts, numbered anew, and what was compared, for the report.
+    Each is compared with a dielectric, matt or of its best roughness. As displaced reflections
+    count twice in squared errors, true metal is hardly ever proven. `dielectric` (U, L) is the
+    display error of each sample at every roughness.
     """
     count = len(trial.rays.sample)
     plain, metal, single = np.zeros(count), np.zeros(count), []
@@ -35,22 +29,22 @@ def proven_parts(parts: MetalParts, trial: Trial, dielectric: Floats) -> tuple[M
         inside = parts.part == index
         own = trial.rays_of(inside)
         level = LEVELS[int(dielectric[inside].mean(0).argmin())]
-        glossy = trial.paint_errors(own, np.full(len(inside), level))
-        plain[own] = min(trial.paint_errors(own, None), glossy, key=np.sum)
+        glossy = trial.dielectric_errors(own, np.full(len(inside), level))
+        plain[own] = min(trial.dielectric_errors(own, None), glossy, key=np.sum)
         metal[own] = trial.metal_errors(own, float(roughness))
-        single.append(trial.proof(own, plain[own], metal[own]))
+        single.append(trial.compare(own, plain[own], metal[own]))
     every = trial.rays_of(parts.part >= 0)
-    whole = trial.proof(every, plain[every], metal[every])
-    proven = np.array([one.is_open for one in single], bool)
-    told = f"of {len(proven)} parts that may be metal {proven.sum()} are not disproven"
-    if len(proven):
-        told += f"; of all together {whole.words}"
-    kept_parts = parts.of(proven)
+    whole = trial.compare(every, plain[every], metal[every])
+    passed = np.array([one.is_not_worse for one in single], bool)
+    why = f"of {len(passed)} parts that may be metal {passed.sum()} are not disproven"
+    if len(passed):
+        why += f"; of all together {whole.words}"
+    kept_parts = parts.of(passed)
     choice = Choice(
         choice="metal",
         chosen=f"{(kept_parts.part >= 0).mean():.0%} of the surface",
         alternatives=("none",),
-        held_out_error=whole.rich if proven.all() and len(proven) else None,
-        why=told,
+        held_out_error=whole.rich if passed.all() and len(passed) else None,
+        why=why,
     )
     return kept_parts, choice

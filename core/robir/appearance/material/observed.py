@@ -22,7 +22,7 @@ LEAST_DIFFUSE = 0.02  # least share of an observation's radiance that is no refl
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class ObservedRays:
     """What the photographs show along some rays.
 
     Attributes:
@@ -39,10 +39,10 @@ class Seen:
     clipped: Tensor
     gain: Tensor
 
-    def of(self, chosen: Tensor) -> Seen:
+    def of(self, chosen: Tensor) -> ObservedRays:
         """Some of the rays."""
         parts = (part[chosen] for part in (self.linear, self.display, self.clipped, self.gain))
-        return Seen(self.curve, *parts)
+        return ObservedRays(self.curve, *parts)
 
     def excess(self, prediction: Tensor) -> Tensor:
         """Display codes (M, 3), 0..1, beyond those of a predicted radiance (M, 3)."""
@@ -63,13 +63,13 @@ class Seen:
         return shown.clamp(max=_MOST_ERROR).mean(1)
 
 
-def seen_along(problem: Problem, rays: ViewRays, rows: NDArray[np.int64]) -> Seen:
+def seen_along(problem: Problem, rays: ViewRays, rows: NDArray[np.int64]) -> ObservedRays:
     """What the photographs show of some samples."""
     transport = problem.scene.transport
     observations, normals = transport.observations, transport.surfels.normal[rows]
     sample, view = torch.from_numpy(rays.sample), torch.from_numpy(rays.view)
     off_axis = observations.off_axis[rows][rays.sample, rays.view]
-    return Seen(
+    return ObservedRays(
         curve=problem.curve,
         linear=problem.linear[rows][sample, view],
         display=torch.from_numpy(observations.display[rows].astype(np.float32) / 255)[sample, view],
@@ -80,14 +80,8 @@ def seen_along(problem: Problem, rays: ViewRays, rows: NDArray[np.int64]) -> See
 
 def looked_at(
     problem: Problem, light: Light, rows: NDArray[np.int64]
-) -> tuple[Reflections, ViewRays, Seen, Tensor]:
-    """What samples (U,) reflect, their rays, what these show, and which views show them (U, V).
-
-    Args:
-        problem: Scene under a tone curve.
-        light: Its light.
-        rows: The samples.
-    """
+) -> tuple[Reflections, ViewRays, ObservedRays, Tensor]:
+    """What samples (U,) reflect, their rays, what these show, and which views show them (U, V)."""
     transport = problem.scene.transport
     observations, directions = transport.observations, transport.visibility.directions
     rays = view_rays(transport.surfels, observations, rows, directions)
@@ -104,15 +98,12 @@ def dense(values: Tensor, rays: ViewRays, shape: tuple[int, int]) -> Tensor:
 
 
 def diffuse_below(
-    seen: Seen, specular: Tensor, through: Tensor, seen_by: tuple[ViewRays, Tensor]
+    seen: ObservedRays, specular: Tensor, through: Tensor, seen_by: tuple[ViewRays, Tensor]
 ) -> Tensor:
     """Diffuse radiance (M, 3) that leaves samples under their specular layer, alike in all views.
 
-    Args:
-        seen: What the rays show.
-        specular: (M, 3) what of it is reflected.
-        through: (M, 1) share of the diffuse light that the layer lets through.
-        seen_by: The rays, and (U, V) which views show the samples.
+    Of what is reflected (M, 3), the share (M, 1) let through, the rays, and (U, V) which views
+    show.
     """
     rays, valid = seen_by
     least = LEAST_DIFFUSE * seen.linear

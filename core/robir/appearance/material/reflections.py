@@ -73,17 +73,7 @@ class ViewRays:
 def view_rays(
     surfels: Surfels, observations: Observations, rows: NDArray[np.int64], directions: Floats
 ) -> ViewRays:
-    """All observations of some samples.
-
-    Args:
-        surfels: All samples.
-        observations: Theirs.
-        rows: (U,) samples wanted.
-        directions: (D, 3) fixed directions, unit.
-
-    Returns:
-        One ray an observation, samples numbered as in `rows`.
-    """
+    """All observations of samples `rows` (U,), one ray each; fixed unit `directions` (D, 3)."""
     sample, view = np.nonzero(observations.weight[rows] > 0)
     position, normal = surfels.position[rows][sample], surfels.normal[rows][sample]
     towards = observations.positions[view] - position
@@ -98,17 +88,9 @@ def as_rays(
     normal: Floats,
     directions: Floats,
 ) -> ViewRays:
-    """Rays from samples towards cameras.
+    """Rays from samples (M,), ascending, to views (M,), with their nearest mirror directions.
 
-    Args:
-        sample: (M,) sample numbers, ascending.
-        view: (M,) view numbers.
-        view_dir: (M, 3) unit, away from the surface.
-        normal: (M, 3) unit.
-        directions: (D, 3) fixed directions, unit.
-
-    Returns:
-        The rays with their nearest mirror directions.
+    Of unit view directions, away from the surface, and normals (M, 3), and fixed directions (D, 3).
     """
     cosine = (view_dir * normal).sum(1).clip(0.02, 1)
     mirror = 2 * cosine[:, None] * normal - view_dir
@@ -132,7 +114,7 @@ def _nearest(towards: Floats, directions: Floats) -> NDArray[np.int64]:
 def reflected_share(rays: ViewRays, roughness: float) -> Tensor:
     """Share (M,) of even light that a dielectric's specular layer reflects towards each view.
 
-    What it reflects does not reach the diffuse layer, as in Blender's Principled material.
+    It does not reach the diffuse layer, as in Blender's Principled material.
     """
     scale, bias = microfacet.environment_brdf(rays.cosine, torch.full_like(rays.cosine, roughness))
     return F0 * scale + bias
@@ -164,16 +146,10 @@ def _hear_of_beta() -> None:
 def _product_at(
     tables: Sequence[Tensor], kernel: Tensor, place: tuple[NDArray[np.int64], Tensor]
 ) -> list[Tensor]:
-    """Some entries (M,) of the products of tables (U, D) and a kernel (D, D).
+    """Some entries (M,) of the products of tables (U, D) and a symmetric kernel (D, D).
 
-    A sample has some 15 views and there are hundreds of directions: the whole products take six
-    times as long. Where more entries are wanted than there are, as of few samples in large
-    pictures, they are taken from the whole ones: no sparse tensor holds so many.
-
-    Args:
-        tables: With a row a sample.
-        kernel: Symmetric.
-        place: Row, ascending, and column of each entry.
+    `place` is row, ascending, and column of each entry. The whole products take six times as long;
+    they are made where more entries are wanted than a sparse tensor holds.
     """
     row, column = place
     if len(row) > len(tables[0]) * len(kernel):
@@ -202,14 +178,9 @@ def _product_at(
 def _radiance_of_surfaces(
     problem: Problem, rows: NDArray[np.int64]
 ) -> tuple[tuple[Tensor, ...], Tensor]:
-    """Radiance that samples (U,) see of each other in every direction.
+    """Radiance (U, D) a channel that samples see of each other, and where a surface is seen.
 
-    A polished board mirrors the piece that stands on it. With the mean over all blocked directions
-    instead, its dark fields in the shade differed from view to view as no paint may, and passed for
-    the gold of that piece: their albedo was read twice too bright.
-
-    Returns:
-        Of each channel (U, D), and where a surface is known to be seen, (U, D).
+    A mean over all blocked directions would pass for metal where a polished board mirrors a piece.
     """
     transport = problem.scene.transport
     directions, position = transport.visibility.directions, transport.surfels.position
@@ -313,14 +284,7 @@ class Reflections:
     def from_suns(
         self, rays: ViewRays, roughness: float, tilt: tuple[float, float] = (0.0, 0.0)
     ) -> Tensor:
-        """The part (M, 2, 3) that sharp lobes send.
-
-        Args:
-            rays: Observations.
-            roughness: Of the surface.
-            tilt: How far the normal is tilted along two tangents: where a highlight lies depends on
-                the normal twice over, and the mesh's is a few degrees off.
-        """
+        """The part (M, 2, 3) that sharp lobes send, with normals tilted along two tangents."""
         sample = torch.from_numpy(rays.sample)
         normal = self._normals(tilt)[sample]
         total = torch.zeros(len(sample), 2, 3)

@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How many roughnesses the paint of an object has: none, one, or one per patch of it.
+"""How many roughnesses an object's dielectrics have: none, one, or one per patch.
 
-Where highlights cannot tell, one roughness for all is no safer guess than many: most of what is
-mirrored is the ground, whose roughness says nothing of the object's. So each patch of like albedo
-and place has its own, drawn towards those like it by how little its own highlights say, see
-highlights.py. Whether there is any specular layer, and more than one roughness, is told by
-photographs that had no part in the fit, see proof.py.
+Each patch of like albedo and place has its own, drawn towards those like it by how little its own
+highlights say (highlights.py): one for all would be mostly the ground's. Whether there is a
+specular layer, and more than one roughness, is decided by held-out photographs.
 """
 
 from __future__ import annotations
@@ -18,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robir.appearance.material.highlights import STEP, UNKNOWN, Highlights, pooled, read
-from robir.appearance.material.trial import Trial
+from robir.appearance.material.trial import MaterialTrial
 from robir.jobs.choice import Choice
 
 Floats = NDArray[np.float32]
@@ -28,7 +26,7 @@ MATTE = 1.0
 """Roughness stated for paint without highlights; it has no bearing on how it looks."""
 
 ONE, EACH = "one for the whole object", "one per patch of like paint"
-GLOSSY, DULL = "as of any paint: F0 = 0.04", "none"
+WITH_SPECULAR, WITHOUT_SPECULAR = "as of any paint: F0 = 0.04", "none"
 
 # deviation of the roughness over the surface below which there is one: nobody sees it, and chance
 # alone lets patches predict a little better
@@ -52,7 +50,7 @@ class RoughnessChoice:
 
 
 @dataclass(frozen=True, slots=True)
-class Patches:
+class RoughnessPatches:
     """Parts of the surface that share a roughness each.
 
     Attributes:
@@ -65,39 +63,32 @@ class Patches:
 
 
 def choose_roughness(
-    highlights: Highlights, patches: Patches, trial: Trial, paint: NDArray[np.bool_]
+    highlights: Highlights,
+    patches: RoughnessPatches,
+    trial: MaterialTrial,
+    dielectric: NDArray[np.bool_],
 ) -> RoughnessChoice:
-    """Roughness of every patch, as many as there are.
-
-    Args:
-        highlights: Of the U samples.
-        patches: That they lie on.
-        trial: The same samples.
-        paint: (U,) those that are no metal, of which all is judged.
-
-    Returns:
-        The choice.
-    """
+    """Roughness of every patch, as many as held-out tests allow, by `dielectric` (U,) samples."""
     started = time.process_time()
-    one, each = _fitted(highlights.of(paint), patches.number[paint], patches.features)
-    kept = trial.rays_of(paint & (np.arange(len(paint)) % _STRIDE == 0))
-    levels = np.full(len(paint), _stepped(one, STEP)), each[patches.number]
-    plain = trial.paint_errors(kept, None)
-    single, several = (trial.paint_errors(kept, level) for level in levels)
-    many = trial.proof(kept, single, several)
-    gloss = trial.proof(kept, plain, several if many.is_open else single)
-    of_paint = each[patches.number[paint]]
-    is_alike = not len(of_paint) or float(of_paint.std()) < _NO_DIFFERENCE
-    is_dull = not gloss.is_open
-    is_one = is_dull or is_alike or not many.is_open
+    one, each = _fitted(highlights.of(dielectric), patches.number[dielectric], patches.features)
+    kept = trial.rays_of(dielectric & (np.arange(len(dielectric)) % _STRIDE == 0))
+    levels = np.full(len(dielectric), _stepped(one, STEP)), each[patches.number]
+    plain = trial.dielectric_errors(kept, None)
+    single, several = (trial.dielectric_errors(kept, level) for level in levels)
+    many = trial.compare(kept, single, several)
+    specular = trial.compare(kept, plain, several if many.is_not_worse else single)
+    of_dielectric = each[patches.number[dielectric]]
+    is_alike = not len(of_dielectric) or float(of_dielectric.std()) < _NO_DIFFERENCE
+    is_dull = not specular.is_not_worse
+    is_one = is_dull or is_alike or not many.is_not_worse
     roughness = np.full(len(each), MATTE if is_dull else _stepped(one, STEP)) if is_one else each
     choices = (
         Choice(
             choice="specular",
-            chosen=DULL if is_dull else GLOSSY,
-            alternatives=(GLOSSY if is_dull else DULL,),
-            held_out_error=gloss.plain if is_dull else gloss.rich,
-            why=f"with a specular layer {gloss.words}",
+            chosen=WITHOUT_SPECULAR if is_dull else WITH_SPECULAR,
+            alternatives=(WITH_SPECULAR if is_dull else WITHOUT_SPECULAR,),
+            held_out_error=specular.plain if is_dull else specular.rich,
+            why=f"with a specular layer {specular.words}",
         ),
         Choice(
             choice="roughness",

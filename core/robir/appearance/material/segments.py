@@ -21,17 +21,11 @@ _CLEAR_GAP = 4.0
 
 
 def pieces(position: Reals, hue: Reals, gap: float, fewest: int) -> Rows:
-    """Number (N,) of the piece of every sample.
+    """Number (N,) of the piece of every sample: near each other and of one hue.
 
-    What touches may be two things: the cap of a bottle, the paint about a bumper. Links from sample
-    to sample lead across any border, for there the hues blend, so the hues of a whole piece are cut
-    in two where they lie in two heaps.
-
-    Args:
-        position: (N, 3).
-        hue: (N, 3) log colour without its mean over the channels, mean of each one's surroundings.
-        gap: Across which samples are near each other.
-        fewest: Samples that either side of a cut must have.
+    Links lead across borders, where hues blend; so a touching piece is cut in two where its log
+    hues (N, 3) lie in two heaps. `gap` is the distance of neighbours, `fewest` the samples of
+    either side.
     """
     near = cKDTree(position).query_pairs(gap, output_type="ndarray")
     ones = np.ones(len(near))

@@ -1,12 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Materials of samples tried on photographs that had no part in their fit.
+"""Materials of samples tried on held-out photographs.
 
-Every material predicts the views as it would be rendered: metal with the one base colour of its
-part, paint with the diffuse light under its specular layer. That is each sample's own, and what its
-own views would only repeat, so it is taken from other views than the one that is predicted: the
-views are parted in folds, and each fold is predicted by the rest. Roughness and base colour are
-common to hundreds of observations at least, and fitted to all. Which of two materials is the better
-is told by `proof`.
+Metal is predicted with the one base colour of its part, a dielectric with the diffuse light under
+its specular layer. That is each sample's own, so views are parted in folds, and each fold is
+predicted by the rest.
 """
 
 from __future__ import annotations
@@ -18,17 +15,17 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from robir.appearance.held_out_test import EVERY, HeldOutTest
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
-from robir.appearance.material.observed import LEAST_DIFFUSE, Seen, looked_at
+from robir.appearance.material.observed import LEAST_DIFFUSE, ObservedRays, looked_at
 from robir.appearance.material.reflections import Reflections, ViewRays, reflected_share
-from robir.appearance.proof import EVERY, Proof
 
 Reals = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Trial:
+class MaterialTrial:
     """Some samples in all views.
 
     Attributes:
@@ -39,10 +36,10 @@ class Trial:
 
     reflections: Reflections
     rays: ViewRays
-    seen: Seen
+    seen: ObservedRays
 
     @classmethod
-    def of(cls, problem: Problem, light: Light, rows: NDArray[np.int64]) -> Trial:
+    def of(cls, problem: Problem, light: Light, rows: NDArray[np.int64]) -> MaterialTrial:
         """Samples (U,) of a scene under a light."""
         reflections, rays, seen, _ = looked_at(problem, light, rows)
         return cls(reflections=reflections, rays=rays, seen=seen)
@@ -55,12 +52,10 @@ class Trial:
         elsewhere = count.sum(1)[self.rays.sample] > count[self.rays.sample, fold]
         return torch.from_numpy(np.flatnonzero(chosen[self.rays.sample] & elsewhere))
 
-    def paint_errors(self, chosen: Tensor, level: Reals | None) -> Reals:
-        """Squared errors (M,) of rays if their samples are paint.
+    def dielectric_errors(self, chosen: Tensor, level: Reals | None) -> Reals:
+        """Squared errors (M,) of rays if their samples are dielectric.
 
-        Args:
-            chosen: Numbers (M,) of all rays of some samples, from `rays_of`.
-            level: (U,) roughness of the specular layer, or None where there is none.
+        `level` (U,) is the roughness of the specular layer, or None where there is none.
         """
         rays, seen = self.rays.of(chosen), self.seen.of(chosen)
         specular, through = torch.zeros(len(chosen), 3), torch.ones(len(chosen), 1)
@@ -74,10 +69,10 @@ class Trial:
         return seen.squared(below + specular)
 
     def metal_errors(self, chosen: Tensor, roughness: float) -> Reals:
-        """Squared errors (M,) of rays as metal of one base colour, as it is read, and roughness.
+        """Squared errors (M,) of rays as metal of one roughness and of the base colour that it
+        reads.
 
-        How bright the light is nobody knows well; a base colour that is held to what metals have
-        would make metal look wrong under a light that is judged too strong.
+        No prior of metals holds that colour, as the light's level is not known well.
         """
         if not len(chosen):
             return np.zeros(0)
@@ -85,19 +80,17 @@ class Trial:
         white = self.reflections.radiance(self.rays.of(chosen), roughness)[:, 1].clamp(min=1e-5)
         return seen.squared(white * (seen.linear / white).median(0).values)
 
-    def proof(self, chosen: Tensor, plain: Reals, rich: Reals) -> Proof:
+    def compare(self, chosen: Tensor, plain: Reals, rich: Reals) -> HeldOutTest:
         """What rays say of two models by their errors (M,)."""
-        return Proof.of(plain, rich, (self.rays.view[chosen.numpy()],))
+        return HeldOutTest.of(plain, rich, (self.rays.view[chosen.numpy()],))
 
 
-def predicted_below(seen: Seen, rays: ViewRays, specular: Tensor, through: Tensor) -> Tensor:
+def predicted_below(
+    seen: ObservedRays, rays: ViewRays, specular: Tensor, through: Tensor
+) -> Tensor:
     """Diffuse radiance (M, 3) that leaves rays' samples, as other folds of the views have it.
 
-    Args:
-        seen: What the rays show.
-        rays: All of some samples.
-        specular: (M, 3) what of it is reflected.
-        through: (M, 1) share of the diffuse light that is let through.
+    Of what is reflected (M, 3), and the share (M, 1) of diffuse light that is let through.
     """
     least = LEAST_DIFFUSE * seen.linear
     below = torch.maximum(seen.linear - specular, least) / through

@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What photographs of the same points tell about how they were exposed and lit.
+"""How photographs of the same points were exposed and lit, under a plain tone curve.
 
-Whether anything is needed is judged under a plain tone curve, as any curve
-makes the same photographs brighter. Gains count by how far points of some orientations tell the
-same as points of the others: an exposure changes all alike, while sheen depends on where a point
-faces. A falloff towards the corners, common to all
-photographs, is proven by those it was not solved by.
+Gains count by how far points of some orientations give the same as points of the others: an
+exposure changes all alike, highlights do not. A falloff towards the corners is tested on held-out
+photographs.
 """
 
 from __future__ import annotations
@@ -17,10 +15,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from robir.appearance.held_out_test import HeldOutTest, fitted_views
 from robir.appearance.photometry.exposure import (
     LEAST_COSINE,
     LEAST_VIEWS,
-    Exposures,
+    ExposureModel,
     comparable,
     log_radiance,
 )
@@ -28,7 +27,6 @@ from robir.appearance.photometry.gains import LEAST_POINTS, orientations, real_s
 from robir.appearance.photometry.other_light import find_unlike, unlike
 from robir.appearance.photometry.own_light import have_own_lights
 from robir.appearance.photometry.vignetting import NO_FALLOFF, Falloff, solve_falloff
-from robir.appearance.proof import Proof, fitted_views
 from robir.capture.capture import Capture, View
 from robir.capture.images.loading import resize_views
 from robir.geometry.mesh.tracer import EmbreeTracer
@@ -47,8 +45,8 @@ _IMAGE_SIDE = 200  # longest side that photographs are read at (pixels)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Comparison:
-    """Photographs of the same points, and what these tell about how they were lit and exposed.
+class PhotoComparison:
+    """Photographs of the same points, and how these were lit and exposed.
 
     Attributes:
         capture: All views, the held-out ones included: those need a gain to be compared with.
@@ -78,15 +76,8 @@ class Comparison:
     @classmethod
     def of(
         cls, transport: Transport, tracer: EmbreeTracer, capture: Capture, seed: int
-    ) -> Comparison:
-        """Some points that enough views show, as these show them.
-
-        Args:
-            transport: Baked transport with the samples' observations.
-            tracer: Tracer of the mesh.
-            capture: All views.
-            seed: Of the choice of points.
-        """
+    ) -> PhotoComparison:
+        """Some points, drawn by `seed`, as enough views show them."""
         surfels, seen = transport.surfels, transport.observations
         is_frontal = seen.weight > LEAST_COSINE
         usable = np.flatnonzero(is_frontal.sum(1) >= LEAST_VIEWS)
@@ -114,11 +105,11 @@ class Comparison:
         )
 
     @property
-    def exposures(self) -> Exposures | None:
+    def exposures(self) -> ExposureModel | None:
         """What tells how photographs were exposed; None where they were exposed alike."""
         if not (self.gain_share or self.has_own_lights or self.falloff.strength):
             return None
-        return Exposures(
+        return ExposureModel(
             observations=self.observed(self.capture.without(self.other_light).views),
             normals=self.points.normal,
             gain_share=1.0 if self.has_own_lights else self.gain_share,
@@ -146,7 +137,7 @@ def _plain() -> AbstractToneCurve:
     return curve_from_name("standard")
 
 
-def _leave_out_other_light(state: Comparison) -> Comparison:
+def _leave_out_other_light(state: PhotoComparison) -> PhotoComparison:
     if not state.tells:
         return state
     few = state.observations
@@ -164,14 +155,14 @@ def _leave_out_other_light(state: Comparison) -> Comparison:
     return replace(state, other_light=frozenset(other), observations=few, log=log, kept=kept)
 
 
-def _find_falloff(state: Comparison) -> Comparison:
+def _find_falloff(state: PhotoComparison) -> PhotoComparison:
     if not state.tells:
         return state
     falloff = find_falloff(state.log, state.normals, state.off_axis)
     return replace(state, falloff=falloff)
 
 
-def _find_gains(state: Comparison) -> Comparison:
+def _find_gains(state: PhotoComparison) -> PhotoComparison:
     if not state.tells:
         return state
     dimming = state.falloff.log(state.off_axis)[..., None]
@@ -179,7 +170,7 @@ def _find_gains(state: Comparison) -> Comparison:
     return replace(state, gain_share=share) if share else state
 
 
-def _find_own_lights(state: Comparison) -> Comparison:
+def _find_own_lights(state: PhotoComparison) -> PhotoComparison:
     if not state.tells:
         return state
     log = state.log - state.falloff.log(state.off_axis)[..., None]
@@ -188,7 +179,7 @@ def _find_own_lights(state: Comparison) -> Comparison:
     return replace(state, has_own_lights=has_own_lights)
 
 
-COMPARISON: tuple[Step[Comparison], ...] = (
+COMPARISON: tuple[Step[PhotoComparison], ...] = (
     Step(
         name="other-light",
         purpose="leaves out photographs taken under another light than most",
@@ -219,15 +210,10 @@ COMPARISON: tuple[Step[Comparison], ...] = (
 
 
 def find_falloff(log: Array, normals: Floats, off_axis: NDArray[np.uint8]) -> Falloff:
-    """The falloff under a plain tone curve, of strength 0 where photographs do not prove it.
+    """The falloff under a plain tone curve, of strength 0 where it fails the held-out test.
 
-    Solved by the fitted views, it must let the points that these show predict the kept ones better,
-    each of those at its own exposure, and not by points of a few orientations alone.
-
-    Args:
-        log: (P, V, 3) log radiance from `comparable`.
-        normals: (P, 3) of the points.
-        off_axis: (P, V) as in `Observations.off_axis`.
+    It must let points predict held-out views better, each at its own exposure, over views and over
+    orientations. Of log radiance (P, V, 3), normals (P, 3), and `Observations.off_axis` (P, V).
     """
     is_fitted = fitted_views(log.shape[1])
     enough = np.isfinite(log[:, is_fitted, 0]).sum(1) >= LEAST_VIEWS
@@ -238,31 +224,28 @@ def find_falloff(log: Array, normals: Floats, off_axis: NDArray[np.uint8]) -> Fa
     if falloff.strength <= 0:
         return NO_FALLOFF
     point, view = np.nonzero(np.isfinite(log[:, ~is_fitted, 0]))
-    # sheen at grazing angles, which is where the edges of photographs look, errs by orientation
+    # specular reflection at grazing angles, which is where the edges of photographs look, errs by
+    # orientation
     orientation = orientations(normals)
     plain, rich = (
         _kept_errors(log, normals, model.log(off_axis), is_fitted)
         for model in (NO_FALLOFF, falloff)
     )
-    is_proven = Proof.of(plain, rich, (view, orientation[point])).is_given
-    return solve_falloff(log, normals, off_axis) if is_proven else NO_FALLOFF
+    is_passed = HeldOutTest.of(plain, rich, (view, orientation[point])).is_passed
+    return solve_falloff(log, normals, off_axis) if is_passed else NO_FALLOFF
 
 
 def _kept_errors(
     log: Array, normals: Floats, dimming: Array, is_fitted: NDArray[np.bool_]
 ) -> Array:
-    """Squared display errors (M,) of what kept views show, predicted by the fitted ones.
+    """Squared display errors (M,) of what held-out views show, predicted by the fitted ones.
 
-    Args:
-        log: (P, V, 3) log radiance, NaN where a view does not show a point.
-        normals: (P, 3) of the points.
-        dimming: (P, V) log radiance against the middle of a photograph.
-        is_fitted: (V,).
+    `dimming` (P, V) is log radiance against the middle of a photograph; `is_fitted` (V,).
     """
-    evened = log - dimming[..., None]
-    gains = solve_gains(evened[:, is_fitted], normals)
-    points = np.nanmean(evened[:, is_fitted] - gains, axis=1)
-    apart = evened[:, ~is_fitted] - points[:, None]
+    equalised = log - dimming[..., None]
+    gains = solve_gains(equalised[:, is_fitted], normals)
+    points = np.nanmean(equalised[:, is_fitted] - gains, axis=1)
+    apart = equalised[:, ~is_fitted] - points[:, None]
     apart -= np.nanmedian(apart, axis=0)
     shown = log[:, ~is_fitted]
     known = np.isfinite(shown[..., 0])

@@ -1,13 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Photographs of one capture that were not exposed, balanced or lit alike.
 
-A surface point shows every camera about the same radiance, so what differs between photographs of
-the same points is the photographs' doing:
+A surface point shows every camera about the same radiance, so of photographs of the same points
 
-    log linear(p, v) = point(p) + gain(v) + highlight or error,
+    log linear(p, v) = point(p) + gain(v) + highlight or error
 
-solved by robust least squares under every tone curve that is tried; light of their own adds slopes
-(see `own_light`). Whether any of it is needed, `comparison` tells.
+is solved by robust least squares under every tone curve; own lights add slopes (`own_light`).
 """
 
 from __future__ import annotations
@@ -30,7 +28,9 @@ from robir.transport.observe import Observations
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
-LEAST_COSINE = 0.5  # cosine from which a view of a point counts: flatter ones show mostly sheen
+LEAST_COSINE = (
+    0.5  # cosine from which a view of a point counts: flatter ones show mostly specular reflection
+)
 _DARKEST = 10  # code from which a curve's slope is worth something in all three channels (codes)
 _BRIGHTEST = 250  # code up to which it is (codes)
 LEAST_VIEWS = 4  # views of a point from which photographs can be compared
@@ -42,10 +42,10 @@ class Gains:
 
     Attributes:
         by_view: Factors (3,) on linear radiance by the view's name, of geometric mean 1 in every
-            channel; empty where all photographs are taken to be alike.
+            channel; empty where all photographs are alike.
         falloff: Of all photographs towards their corners.
         slopes: (3,) log radiance per unit of the normal, unit frame, by the view's name; empty
-            where all photographs are taken to be in one light.
+            where all photographs are in one light.
     """
 
     by_view: Mapping[str, Array]
@@ -59,13 +59,10 @@ class Gains:
         normals: Floats,
         view: Tensor | None = None,
     ) -> Tensor:
-        """Factors (..., 3) float32 on what photographs show, 1 where nothing is known.
+        """Factors (..., 3) float32 on what V views show, 1 where nothing is known.
 
-        Args:
-            views: Names of V views.
-            off_axis: (...) as in `Observations.off_axis`.
-            normals: (..., 3) of what is shown, unit frame.
-            view: (...) which view shows it; None where the last of these axes is that of all.
+        Of `Observations.off_axis` (...) and normals (..., 3), unit frame; `view` (...) is which
+        view shows it, None where the last of these axes is that of all.
         """
         factors = _rows(self.by_view, np.ones(3), views)
         if view is not None:
@@ -80,36 +77,27 @@ class Gains:
         """As plain values: "steps" (log2) per channel by view, "corner_steps", "slope_steps"."""
         return {
             "steps": {name: np.log2(gain).tolist() for name, gain in self.by_view.items()},
-            "corner_steps": self.falloff.corner_steps,
+            "corner_steps": self.falloff.corner_stops,
             "slope_steps": {name: (s / np.log(2)).tolist() for name, s in self.slopes.items()},
         }
 
     def undone(self, linear: Tensor, observations: Observations, normals: Floats) -> Tensor:
-        """Radiance at the common exposure, in the common light.
+        """Radiance (N, V, 3) at the common exposure, in the common light; itself if all are alike.
 
-        What is clipped is at least as bright as the brightest that the point shows unclipped: in a
-        long exposure its own bound may lie below the truth that a short one shows.
-
-        Args:
-            linear: (N, V, 3) radiance as decoded.
-            observations: What it was decoded from.
-            normals: (N, 3) of the points, unit frame.
-
-        Returns:
-            (N, V, 3); the very same values where all photographs are alike.
+        What is clipped is at least as bright as the brightest that the point shows unclipped.
         """
         if not self.by_view and not self.falloff.strength:
             return linear
-        evened = linear / self.at(observations.views, observations.off_axis, normals[:, None])
+        equalised = linear / self.at(observations.views, observations.off_axis, normals[:, None])
         clipped = torch.from_numpy(observations.clipped)
         hidden = clipped | torch.from_numpy(observations.weight <= 0)[..., None]
-        brightest = evened.masked_fill(hidden, 0.0).amax(1, keepdim=True)
-        return torch.where(clipped, torch.maximum(evened, brightest), evened)
+        brightest = equalised.masked_fill(hidden, 0.0).amax(1, keepdim=True)
+        return torch.where(clipped, torch.maximum(equalised, brightest), equalised)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Exposures:
-    """What tells how photographs were exposed, whatever the tone curve.
+class ExposureModel:
+    """How photographs were exposed, to be solved under any tone curve.
 
     Attributes:
         observations: A few surface points in all views, the held-out ones included.
@@ -152,14 +140,9 @@ def _rows(by_view: Mapping[str, Array], plain: Array, views: Sequence[str]) -> T
 def comparable(
     observations: Observations, curve: AbstractToneCurve
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Log radiance (P, V, 3) of the points that enough views show well, NaN where they do not.
+    """Log radiance (P, V, 3) of the points that enough views show well, and which (N,) these are.
 
-    Args:
-        observations: N points.
-        curve: Tone curve to undo.
-
-    Returns:
-        Log radiance, and which (N,) points are left.
+    NaN where a view does not show a point well.
     """
     log = log_radiance(observations, curve)
     kept = np.isfinite(log[..., 0]).sum(1) >= LEAST_VIEWS
@@ -177,7 +160,7 @@ def log_radiance(observations: Observations, curve: AbstractToneCurve) -> Array:
 
 
 def decoded(observations: Observations, curve: AbstractToneCurve) -> Tensor:
-    """Radiance (N, V, 3) float32, linear Rec.709, of every observation as it was exposed.
+    """Radiance (N, V, 3) float32, linear Rec.709, as it was exposed.
 
     Anything where a view does not show a point.
     """

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """How much brighter each photograph is than the others, and whether that is its exposure.
 
-An exposure changes all points alike; sheen depends on where a point faces. So gains from points of
-some orientations must let photographs predict points of the others.
+An exposure changes all points alike, a highlight depends on where they face. So gains from points
+of some orientations must let photographs predict points of the others.
 """
 
 from __future__ import annotations
@@ -26,15 +26,9 @@ LEAST_POINTS = 50  # points in all from which photographs can be compared
 
 
 def solve_gains(log: Array, normals: Floats) -> Array:
-    """Gains of views by the points they share.
+    """Log gains (V, 3), of mean 0, by log radiance (P, V, 3), NaN where a point is not shown.
 
-    Args:
-        log: (P, V, 3) natural logarithms of radiance, NaN where a view does not show a point; every
-            point is shown by some view.
-        normals: (P, 3) unit.
-
-    Returns:
-        Log gains (V, 3) of mean 0 in every channel.
+    Every point is shown by some view; normals (P, 3) are unit.
     """
     known = np.isfinite(log[..., 0])
     values = np.nan_to_num(log)
@@ -47,15 +41,9 @@ def solve_gains(log: Array, normals: Floats) -> Array:
 
 
 def _least_squares(values: Array, weight: Array, prior: float) -> tuple[Array, Array]:
-    """Gains (V, 3) and points (P, 3) whose sums are nearest to the values.
+    """Gains (V, 3) and points (P, 3) whose sums are nearest to the values (P, V, 3).
 
-    The points are eliminated, so that what only chains of photographs connect is solved as well as
-    what single photographs do.
-
-    Args:
-        values: (P, V, 3) log radiance.
-        weight: (P, V), 0 where a view does not show a point.
-        prior: Weight with which every gain is drawn to 0.
+    Points are eliminated, so that chains of photographs connect. `prior` draws every gain to 0.
     """
     mass = weight.sum(1)
     mean = np.einsum("pv,pvc->pc", weight, values) / mass[:, None]
@@ -66,21 +54,16 @@ def _least_squares(values: Array, weight: Array, prior: float) -> tuple[Array, A
 
 
 def real_share(log: Array, normals: Floats) -> float:
-    """How much of the gains is exposure, 0..1; the rest is sheen and noise.
+    """How much of the gains is exposure, 0..1; the rest is highlights and noise.
 
-    An exposure changes all points alike, so points of some orientations and points of the others
-    tell the same gains; what they tell apart is error. With g = gain + e of either half, the mean
-    of their products estimates the variance of the gains, and over that of their mean it is what is
-    left of them (James and Stein 1961). What may be chance counts as none: most captures have one
-    exposure.
+    Two halves of the points, by orientation, give gain + e each. The mean of their products
+    estimates the variance of the gains, and over that of their mean it is what is left of them
+    (James and Stein 1961). What may be chance counts as none, as do too few points.
 
     Args:
         log: (P, V, 3) log radiance under a plain tone curve, without any falloff, NaN where a view
             does not show a point.
         normals: (P, 3) of the points.
-
-    Returns:
-        0 where too few points tell.
     """
     orientation = orientations(normals)
     is_first = halves(orientation)[orientation]
@@ -111,9 +94,9 @@ def halves(orientation: NDArray[np.int64]) -> NDArray[np.bool_]:
 
 def others_errors(log: Array, gains: Array) -> Array:
     """Squared display errors (P, V) of what each view shows, predicted by the others."""
-    evened = log - gains
-    known = np.isfinite(evened[..., :1])
-    values = np.where(known, evened, 0.0)
+    equalised = log - gains
+    known = np.isfinite(equalised[..., :1])
+    values = np.where(known, equalised, 0.0)
     others = (values.sum(1, keepdims=True) - values) / np.maximum(
         known.sum(1, keepdims=True) - 1, 1
     )

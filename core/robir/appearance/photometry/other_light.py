@@ -1,10 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Photographs that were taken under another light than the rest.
 
-Where a lamp was covered, by the photographer, say, or by the arm that carries the camera, surface
-points are darker than in all other photographs, but not all by one factor, as they would be if the
-photograph were only exposed otherwise. Such photographs tell nothing about the light of the rest;
-a shadow that is in a few of them only is read as paint where these show a point best.
+Where a lamp was covered, points are darker than in all other photographs, but not by one factor.
+Such photographs say nothing about the light of the rest, and their shadow would be read as albedo.
 """
 
 from __future__ import annotations
@@ -14,8 +12,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-# how much brighter or darker than the rest a photograph must be: more than gloss makes it (steps)
-LEAST_STEPS = 0.5
+# stops by which a photograph must be brighter or darker than the rest: more than highlights make it
+LEAST_STOPS = 0.5
 # how much of that its points must differ among each other: more than in one exposed otherwise
 LEAST_SPREAD = 0.3
 # median difference beyond which the rest do not agree themselves: metal, of which all photographs
@@ -26,27 +24,17 @@ _LEAST_POINTS = 20  # points that a photograph must show to be judged
 
 
 def unlike(log: Array, points: Array) -> NDArray[np.bool_]:
-    """Which photographs show points in another light than they have in the rest.
+    """Photographs (V,) that show points much brighter or darker, not by one factor.
 
-    Args:
-        log: (P, V, 3) log radiance, NaN where a photograph does not show a point.
-        points: (P, 3) log radiance of the points under the common light, NaN where unknown.
-
-    Returns:
-        (V,); True for photographs that are much brighter or darker, and not by one factor.
+    Of log radiance (P, V, 3), NaN where not shown, and of the points (P, 3) under the common light.
     """
     return _is_unlike(*_compared(log, points, _LEAST_POINTS))
 
 
 def find_unlike(log: Array, gains: Array) -> tuple[NDArray[np.bool_], Array]:
-    """The photographs under another light than most, and what points are like under that of most.
+    """Photographs (V,) under another light than most, and the points' log radiance (P, 3).
 
-    Args:
-        log: (P, V, 3) log radiance, NaN where a photograph does not show a point.
-        gains: (V, 3) log gains of the photographs, from `exposure.solve_gains`.
-
-    Returns:
-        (V,), all False where the rest do not agree or are too few; and (P, 3) log radiance.
+    None where the rest do not agree or are too few. `gains` (V, 3) are from `gains.solve_gains`.
     """
     points = np.nanmedian(log - gains, axis=1) + np.median(gains, axis=0)
     gain, left = _compared(log, points, _LEAST_POINTS)
@@ -58,14 +46,14 @@ def find_unlike(log: Array, gains: Array) -> tuple[NDArray[np.bool_], Array]:
 
 def _is_unlike(gain: Array, left: Array) -> NDArray[np.bool_]:
     """Which photographs (V,) are much brighter or darker, and not by one factor."""
-    is_far = np.abs(gain) > LEAST_STEPS * np.log(2)
+    is_far = np.abs(gain) > LEAST_STOPS * np.log(2)
     return is_far & (left > LEAST_SPREAD * np.abs(gain))
 
 
 def _compared(log: Array, points: Array, least: int) -> tuple[Array, Array]:
     """How much brighter photographs are (V,), and how much their points differ in that (V,).
 
-    Both are 0 of those that show less than so many points.
+    Both are 0 of those that show less than `least` points.
     """
     apart = (log - points[:, None]).mean(2)
     apart[:, np.isfinite(apart).sum(0) < least] = 0.0

@@ -1,16 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Photographs each in a light of its own.
 
-Where clouds pass, a photographer or the arm of a robot stands before the lamps, or the object is
-turned by hand, photographs of the same points differ by more than an exposure: what faces one way
-is brighter, what faces another darker. To first order in the normal, which holds most of what a
-light makes of a matt surface (Ramamoorthi and Hanrahan 2001),
+Where clouds pass, somebody stands before the lamps, or the object is turned by hand, what faces one
+way is brighter and another darker. To first order in the normal, which holds most of what a light
+makes of a matt surface (Ramamoorthi and Hanrahan 2001),
 
-    log linear(p, v) = point(p) + gain(v) + slope(v) . normal(p) + highlight or error,
+    log linear(p, v) = point(p) + gain(v) + slope(v) . normal(p) + highlight or error
 
-solved by robust least squares. Sheen under one light does the like, since it changes with the view
-by orientation too, and a rough one explains as much; but it is one function of the mirrored
-direction for all photographs. Slopes are taken only where they beat that, too.
+is solved by robust least squares. A specular layer under one light does the like, but is one
+function of the mirrored direction; slopes must also predict better than that.
 """
 
 from __future__ import annotations
@@ -20,19 +18,21 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from robir.appearance.held_out_test import HeldOutTest
 from robir.appearance.photometry.gains import LEAST_POINTS, halves, others_errors, solve_gains
 from robir.appearance.photometry.robust import FIRST_WIDTH, LAST_WIDTH, NARROWING, Weighing
-from robir.appearance.proof import Proof
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
 _PLACE_SIZE = 0.15  # side of the cubes within which points err together (unit frame)
-# of the rival sheen's polynomials: of the second, a ball with a Phong exponent of 8 passes for one
-# in lights of its own
-_SHEEN_DEGREE = 3
-_SHEEN_ROUNDS = 8  # turns of points and sheen
-_SHEEN_RIDGE = 1e-4  # weight of the sheen's prior against the trace of its equations
+# of the rival specular reflection's polynomials: of the second, a ball with a Phong exponent of 8
+# passes for one in lights of its own
+_SPECULAR_DEGREE = 3
+_SPECULAR_ROUNDS = 8  # turns of points and specular reflection
+_SPECULAR_RIDGE = (
+    1e-4  # weight of the specular reflection's prior against the trace of its equations
+)
 
 
 # share of the squared errors that slopes may leave: what is proven but small, a wrong mesh does as
@@ -41,16 +41,9 @@ _MOST_LEFT = 0.6
 
 
 def solve_slopes(log: Array, normals: Floats) -> Array:
-    """By how much each photograph is brighter on what faces one way than on what faces another.
+    """Log radiance (V, 3) per unit of the normal, alike in all channels, of mean 0 over the views.
 
-    Args:
-        log: (P, V, 3) natural logarithms of radiance, NaN where a view does not show a point; every
-            point is shown by some view.
-        normals: (P, 3) unit.
-
-    Returns:
-        (V, 3) log radiance per unit of the normal, alike in all channels, of mean 0 over the views:
-        what all have in common is a property of the points.
+    Arguments as for `solve_gains`; what all views have in common is a property of the points.
     """
     known = np.isfinite(log[..., 0])
     values = np.nan_to_num(log).mean(2)
@@ -66,13 +59,8 @@ def solve_slopes(log: Array, normals: Floats) -> Array:
 def _least_squares(values: Array, basis: Array, weight: Array, prior: float) -> tuple[Array, Array]:
     """Unknowns (V, K) of views and points (P,) whose sums are nearest to the values (P, V).
 
-    The points are eliminated. What is common to all views is pinned to 0, see `solve_views`.
-
-    Args:
-        values: (P, V) log radiance.
-        basis: (P, K) that a view's unknowns are multiplied with.
-        weight: (P, V), 0 where a view does not show a point.
-        prior: Weight with which every unknown is drawn to 0.
+    Points are eliminated; what is common to all views is pinned to 0, see `solve_views`. A view's
+    unknowns are multiplied with `basis` (P, K); `prior` draws them to 0.
     """
     (count, views), size = weight.shape, basis.shape[1]
     mass = weight.sum(1)
@@ -95,8 +83,8 @@ def _least_squares(values: Array, basis: Array, weight: Array, prior: float) -> 
 def have_own_lights(log: Array, normals: Floats, places: tuple[Floats, Floats]) -> bool:
     """Whether photographs are each in a light of its own.
 
-    Slopes of points in some places must let photographs predict those in others, better than gains
-    alone and better than a sheen under one light do.
+    Slopes of points in some places must let photographs predict those in others better than gains
+    alone and better than a specular layer under one light.
 
     Args:
         log: (P, V, 3) log radiance under a plain tone curve, without any falloff, NaN where a view
@@ -110,32 +98,33 @@ def have_own_lights(log: Array, normals: Floats, places: tuple[Floats, Floats]) 
     is_first = halves(place)[place]
     if min(is_first.sum(), (~is_first).sum()) < LEAST_POINTS:
         return False
-    mirrored = _mirrored(positions, normals, cameras, _SHEEN_DEGREE)
+    mirrored = _mirrored(positions, normals, cameras, _SPECULAR_DEGREE)
     groups: list[NDArray[np.int64]] = []
     errors: list[list[Array]] = []
-    for judged in (is_first, ~is_first):
-        fitted, shown = ~judged, log[judged]
+    for tested in (is_first, ~is_first):
+        fitted, shown = ~tested, log[tested]
         point, view = np.nonzero(np.isfinite(shown[..., 0]))
-        groups.append(np.stack([view, place[judged][point]]))
-        sheen = mirrored @ _solve_sheen(log[fitted], normals[fitted], mirrored[fitted])
+        groups.append(np.stack([view, place[tested][point]]))
+        specular = mirrored @ _solve_specular(log[fitted], normals[fitted], mirrored[fitted])
         slopes = normals @ solve_slopes(log[fitted], normals[fitted]).T
         errors.append([])
-        for more in (np.zeros_like(sheen), sheen, slopes):
+        for more in (np.zeros_like(specular), specular, slopes):
             added = more[..., None]
             gains = solve_gains(log[fitted] - added[fitted], normals[fitted])
-            errors[-1].append(others_errors(shown, gains + added[judged])[point, view])
-    plain, sheeny, own = (np.concatenate(both) for both in zip(*errors, strict=True))
+            errors[-1].append(others_errors(shown, gains + added[tested])[point, view])
+    plain, with_specular, own = (np.concatenate(both) for both in zip(*errors, strict=True))
     grouped = tuple(np.concatenate(groups, axis=1))
-    if own.mean() > _MOST_LEFT * min(plain.mean(), sheeny.mean()):
+    if own.mean() > _MOST_LEFT * min(plain.mean(), with_specular.mean()):
         return False
-    return all(Proof.of(rival, own, grouped).is_given for rival in (plain, sheeny))
+    return all(
+        HeldOutTest.of(simpler, own, grouped).is_passed for simpler in (plain, with_specular)
+    )
 
 
 def _mirrored(positions: Floats, normals: Floats, cameras: Floats, degree: int) -> Array:
-    """Polynomials (P, V, K) to some degree of where points mirror each camera to.
+    """Polynomials (P, V, K) to some degree of the direction that points mirror each camera to.
 
-    On the sphere they span spherical harmonics to that order, the third being as far as rough
-    sheens reach; of those with z squared or more nothing is left beside x and y.
+    On the sphere they span spherical harmonics to that order.
     """
     towards = cameras[None] - positions[:, None].astype(np.float64)
     towards /= np.linalg.norm(towards, axis=2, keepdims=True)
@@ -145,19 +134,16 @@ def _mirrored(positions: Floats, normals: Floats, cameras: Floats, degree: int) 
     return np.stack([x**a * y**b * z**c for a, b, c in powers if 0 < a + b + c <= degree], axis=-1)
 
 
-def _solve_sheen(log: Array, normals: Floats, mirrored: Array) -> Array:
-    """Coefficients (K,) of a sheen under one light, by points and gains in turns.
+def _solve_specular(log: Array, normals: Floats, mirrored: Array) -> Array:
+    """Coefficients (K,) of a specular layer under one light, by points and gains in turns.
 
-    Args:
-        log: (P, V, 3) log radiance, NaN where a view does not show a point.
-        normals: (P, 3) of the points.
-        mirrored: (P, V, K) what the sheen is a sum of.
+    Of log radiance (P, V, 3), normals (P, 3), and polynomials `mirrored` (P, V, K).
     """
     known = np.isfinite(log[..., 0])
     gray = np.nan_to_num(log).mean(2)
-    sheen, width = np.zeros(mirrored.shape[2]), FIRST_WIDTH
-    for _ in range(_SHEEN_ROUNDS):
-        shown = mirrored @ sheen
+    specular, width = np.zeros(mirrored.shape[2]), FIRST_WIDTH
+    for _ in range(_SPECULAR_ROUNDS):
+        shown = mirrored @ specular
         left = gray - shown - solve_gains(log - shown[..., None], normals).mean(1)
         left = np.where(known, left, 0.0)
         apart = left - left.sum(1, keepdims=True) / known.sum(1, keepdims=True)
@@ -168,7 +154,7 @@ def _solve_sheen(log: Array, normals: Floats, mirrored: Array) -> Array:
         left = left - (weight * left).sum(1, keepdims=True) / mass[:, None]
         system = np.einsum("pv,pvk,pvl->kl", weight, kinds, kinds)
         right = np.einsum("pv,pvk,pv->k", weight, kinds, left)
-        sheen = sheen + np.linalg.solve(
-            system + _SHEEN_RIDGE * np.trace(system) * np.eye(len(right)), right
+        specular = specular + np.linalg.solve(
+            system + _SPECULAR_RIDGE * np.trace(system) * np.eye(len(right)), right
         )
-    return sheen
+    return specular

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-_PRIOR_STEPS = 0.5  # standard deviation of gains before anything is seen (steps)
+_PRIOR_STOPS = 0.5  # standard deviation of gains before anything is seen (stops)
 _NORMAL_SHARPNESS = 10.0  # of the lobe within which normals share one vote: 10 are about 25 degrees
 # deviation between views of which a photograph's noise alone is capable (log radiance)
 _NOISE = 0.02
@@ -24,9 +24,8 @@ _NUM_ROUNDS = 20  # solves, weights renewed after each
 class Weighing:
     """Weights that are renewed from round to round.
 
-    A plane's sheen changes a whole photograph of it as a gain would, but each orientation by
-    another amount: every orientation has one vote, in which its dull points count more than its
-    glossy ones.
+    Highlights change all points of a plane like a gain, but each orientation by another amount:
+    every orientation has one vote, in which its dull points count more.
 
     Attributes:
         known: (P, V) bool, where a view shows a point.
@@ -51,7 +50,7 @@ class Weighing:
 
     def prior(self) -> float:
         """Weight with which every gain is drawn to 0."""
-        deviation = _PRIOR_STEPS * np.log(2)
+        deviation = _PRIOR_STOPS * np.log(2)
         return self.weight[self.known].mean() * (self.noise / deviation) ** 2
 
     def renew(self, apart: Array) -> None:
@@ -63,18 +62,10 @@ class Weighing:
 
 
 def solve_views(system: Array, right: Array, prior: float) -> Array:
-    """Unknowns of views that differences between views determine.
+    """Unknowns (V, K), mean 0, of views that differences between views determine.
 
-    What is common to all views is free but for the prior, and that vanishes where photographs agree
-    to the last bit: it is pinned to 0 besides, which changes nothing else.
-
-    Args:
-        system: (V, V) normal equations, whose rows sum to 0.
-        right: (V, K), whose columns sum to 0.
-        prior: Weight with which every unknown is drawn to 0.
-
-    Returns:
-        (V, K), mean 0.
+    Rows of the normal equations (V, V) and columns of `right` sum to 0. What is common to all views
+    is pinned to 0, as the prior vanishes where photographs agree to the last bit.
     """
     pin = np.trace(system) / len(system) ** 2
     return np.linalg.solve(system + prior * np.eye(len(system)) + pin, right)

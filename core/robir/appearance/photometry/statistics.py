@@ -30,7 +30,8 @@ _SHADOW_NORMAL = 0.6  # what a difference of one unit of normal counts in that d
 _LEAST_SHADOW_SAMPLES = 20  # in the shadow and lit, from which a shadow is compared
 _SHADOW_PARTNERS = 12  # lit partners of a sample in shadow
 # of how many lit samples one may be its partner, at least. The nearest all hug the shadow's edge,
-# where photographs blur it and the mesh displaces it; of those far away more are of another paint.
+# where photographs blur it and the mesh displaces it; of those far away more are of another
+# material.
 _SHADOW_PARTS = 4
 _LARGEST_PART = 1250  # of how many samples, lit or not, a part of these consists at most
 # width of the kernel that finds the commonest step across shadows: more than noise, less than the
@@ -59,29 +60,17 @@ class Radiance:
 def linear_observations(
     observations: Observations, curve: AbstractToneCurve, gains: Gains, normals: NDArray[np.float32]
 ) -> Tensor:
-    """Radiance of every observation under a tone curve, at the capture's common exposure.
+    """Radiance (N, V, 3) float32, linear Rec.709, at the common exposure, under a tone curve.
 
-    Args:
-        observations: Colours in the photographs.
-        curve: Tone curve to undo.
-        gains: How each photograph was exposed and lit, under this curve.
-        normals: (N, 3) of the points, unit frame.
-
-    Returns:
-        (N, V, 3) float32, linear Rec.709; anything where the view does not show the sample.
+    Anything where a view does not show the sample; normals (N, 3) in the unit frame.
     """
     return gains.undone(decoded(observations, curve), observations, normals)
 
 
 def darker_view_weights(linear: Tensor, valid: Tensor) -> Tensor:
-    """Weights of the views between two ranks of each sample's brightness.
+    """Weights (N, V) of the views between two ranks of each sample's brightness; rows sum to 1.
 
-    Args:
-        linear: (N, V, 3) radiance.
-        valid: (N, V) bool, views that show the sample.
-
-    Returns:
-        (N, V) float32; a row sums to 1, or to 0 where no view shows the sample.
+    Of radiance (N, V, 3) and views that show the sample (N, V) bool; 0 where none does.
     """
     count = valid.sum(1)
     rank = linear.sum(2).masked_fill(~valid, float("inf")).argsort(1).argsort(1).float()
@@ -94,18 +83,10 @@ def darker_view_weights(linear: Tensor, valid: Tensor) -> Tensor:
 def texture_weights(
     seen: tuple[NDArray[np.float32], NDArray[np.float32]], position: NDArray[np.float32]
 ) -> Tensor:
-    """What each view counts in the radiance that textures are made from.
+    """What each view counts (N, V) in the radiance that textures are made from; rows sum to 1.
 
-    All views count by the number of their pixels on a patch about the point, as their mean repeats
-    the photographs best. Darker views alone would show less of a highlight, but those of a camera
-    are darker for many other reasons too.
-
-    Args:
-        seen: Weights (N, V) of the observations, and camera centres (V, 3).
-        position: (N, 3) of the points.
-
-    Returns:
-        (N, V); a row sums to 1, or to 0 where no view shows the point.
+    By the pixels on a patch about points (N, 3): the mean of all views repeats photographs best.
+    `seen` is weights (N, V) of the observations, and camera centres (V, 3).
     """
     weight, cameras = seen
     apart = cameras[None] - position[:, None]
@@ -114,15 +95,7 @@ def texture_weights(
 
 
 def diffuse_radiance(observations: Observations, linear: Tensor) -> Radiance:
-    """Robust low mean over the views: highlights drop out, noise averages.
-
-    Args:
-        observations: Colours in the photographs.
-        linear: (N, V, 3) their radiance under the tone curve, specular part removed if known.
-
-    Returns:
-        Radiance per sample.
-    """
+    """Robust low mean over the views of radiance (N, V, 3): highlights drop out, noise averages."""
     valid = torch.from_numpy(observations.weight > 0)
     share = darker_view_weights(linear, valid)
     return weighted_radiance(observations, linear, share)
@@ -140,13 +113,8 @@ def weighted_radiance(observations: Observations, linear: Tensor, share: Tensor)
 def display_mean(radiance: Tensor, weight: Tensor, curve: AbstractToneCurve) -> Tensor:
     """Radiance (N, 3) whose display colour is the weighted mean over views (N, V, 3).
 
-    Of all that are the same from everywhere it repeats the photographs best: the mean has the least
-    squares, and these are taken where results are judged, in display codes.
-
-    Args:
-        radiance: (N, V, 3) linear Rec.709.
-        weight: (N, V) float32, 0 where a view shows nothing; rows of zeros give 0.
-        curve: Tone curve.
+    Of all that are the same from everywhere it repeats the photographs best in display codes. Rows
+    of zero `weight` (N, V) give 0.
     """
     known = weight > 0
     shown = torch.zeros(radiance.shape)
@@ -178,11 +146,7 @@ class Pairs:
         return part.weighted(torch.ones_like(part.weight))
 
     def unclipped(self, clipped: Tensor) -> Tensor:
-        """Which of the pairs (P,) have no end that is clipped, (U, 3), in any channel.
-
-        A difference to what is clipped is none that was measured. On a striped knot, of whose lit
-        samples half were clipped, the commonest step was one from red in the shade to white.
-        """
+        """Which of the pairs (P,) have no end that is clipped, (U, 3), in any channel."""
         whole = ~clipped.any(1)
         return whole[self.first] & whole[self.second]
 
@@ -210,18 +174,12 @@ class Pairs:
         )
 
     def common_step(self, log_albedo: Tensor) -> Tensor:
-        """The commonest difference (3,) of log albedo between first and second samples.
+        """The commonest difference (3,) of log albedo (U, 3) between first and second samples.
 
-        Across a shadow it is the step that a wrong light leaves, whatever the materials: pairs of
-        one material all show that, and if the same materials lie on both sides, no other
-        difference is as common (a distribution's correlation with itself is greatest at no shift).
-        Of two that are about as common it is the one by which sun and sky may differ.
-
-        Args:
-            log_albedo: (U, 3) of the samples, under some light.
-
-        Returns:
-            The mode found by mean shift with a kernel of `STEP_WIDTH`; zeros without pairs.
+        Across a shadow it is the step that a wrong light leaves: pairs of one material share it,
+        and other differences are rarer (a distribution's correlation with itself is greatest at no
+        shift). Of two that are as common it is the one by which sun and sky may differ. By mean
+        shift with a kernel of `STEP_WIDTH`; zeros without pairs.
         """
         if not len(self.first):
             return torch.zeros(3)
@@ -230,7 +188,7 @@ class Pairs:
         weight = self.weight[some]
         starts = apart[:: max(1, len(apart) // _STEP_STARTS)]
         votes = torch.exp(-(torch.cdist(starts, apart) ** 2) / (2 * STEP_WIDTH**2)) @ weight
-        # seen through that kernel: what a light lacks is light, what two paints differ by is not
+        # seen through that kernel: what a light lacks is light, what two materials differ by is not
         hue = HueSpread(blue=SUN.blue, green=float(np.hypot(SUN.green, STEP_WIDTH)))
         step = starts[(votes * torch.exp(-0.5 * hue.squared(starts))).argmax()]
         for _ in range(_STEP_ROUNDS):
@@ -245,10 +203,9 @@ class Pairs:
 
         Args:
             log_albedo: (U, 3) of the samples, under some light.
-            hue: Standard deviation of the difference in hue, log units, at which it is exp(-1/2).
+            hue: Difference in hue, log units, at which it is exp(-1/2).
             brightness: The same of the mean over the channels.
-            step: (3,) difference between the samples of a pair of one material, under that light;
-                none if None.
+            step: (3,) difference between the samples of a pair of one material; none if None.
         """
         apart = log_albedo[self.first] - log_albedo[self.second]
         if step is not None:
@@ -265,18 +222,7 @@ def neighbour_pairs(
     per_reach: int,
     rng: np.random.Generator,
 ) -> Pairs:
-    """Random neighbours at several distances, in scene units.
-
-    Args:
-        surfels: All samples.
-        usable: (U,) indices of the samples that take part; pairs index into this list.
-        reaches: Distances in the unit frame; each contributes pairs of about that length.
-        per_reach: Pairs per sample and distance.
-        rng: Source of randomness.
-
-    Returns:
-        Pairs over the usable samples.
-    """
+    """Random neighbours among `usable` samples (U,), `per_reach` at each distance, unit frame."""
     position = surfels.position[usable].astype(np.float64)
     count = len(position)
     tree = cKDTree(position)
@@ -308,19 +254,10 @@ def shadow_pairs(
     lit: NDArray[np.bool_],
     dark: NDArray[np.bool_],
 ) -> Pairs:
-    """Pairs across a sun's shadow: samples wholly in it with near ones that are wholly lit.
+    """Pairs across a sun's shadow: samples wholly `dark` (U,) with near ones wholly `lit` (U,).
 
-    Neighbours at fixed distances hold few pairs with one end on either side of a shadow, and it is
-    these that say how strong the sun is against the sky.
-
-    Args:
-        position: (U, 3) unit frame.
-        normal: (U, 3) unit; partners face alike, so that only visibility differs.
-        lit: (U,) wholly lit by the sun.
-        dark: (U,) wholly in its shadow.
-
-    Returns:
-        Pairs over the samples; none where the sun casts no shadow.
+    Neighbours at fixed distances hold few such pairs, which say how strong the sun is. Partners
+    face alike, by positions and normals (U, 3), so that only visibility differs.
     """
     points = np.concatenate([position, _SHADOW_NORMAL * normal], axis=1)
     lit_rows, dark_rows = np.flatnonzero(lit), np.flatnonzero(dark)

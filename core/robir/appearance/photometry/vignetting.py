@@ -1,14 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """A lens that darkens the corners of all photographs alike.
 
-The same surface points stand now in the middle of a photograph, now near its edge. With s the
-square of the distance from the middle, 1 in the corners, a point p in view v shows
+With s the square of the distance from the middle, 1 in the corners, a point p in view v shows
 
     log linear(p, v) = point(p) + gain(v) - k s(p, v) + highlight or error,
 
-solved by robust least squares together with the gains, which would otherwise take part of it. The
-law cos^4 of a simple lens is this to first order in s; of a further coefficient objects in the
-middle of their photographs tell nothing.
+solved by robust least squares together with the gains. It is the law cos^4 to first order in s.
 """
 
 from __future__ import annotations
@@ -33,15 +30,14 @@ class Falloff:
     """How much darker than in its middle a photograph is.
 
     Attributes:
-        strength: Natural logarithm of the middle's radiance over the corners'; 0 where there is no
-            falloff.
+        strength: Natural logarithm of the middle's radiance over the corners'.
     """
 
     strength: float = 0.0
 
     @property
-    def corner_steps(self) -> float:
-        """Steps (log2) by which the corners are darker."""
+    def corner_stops(self) -> float:
+        """Stops (log2) by which the corners are darker."""
         return self.strength / float(np.log(2))
 
     def log(self, off_axis: Codes) -> Array:
@@ -58,17 +54,7 @@ NO_FALLOFF = Falloff()
 
 
 def solve_falloff(log: Array, normals: NDArray[np.float32], off_axis: Codes) -> Falloff:
-    """Falloff of all views by the points they share.
-
-    Args:
-        log: (P, V, 3) natural logarithms of radiance, NaN where a view does not show a point; every
-            point is shown by some view.
-        normals: (P, 3) unit.
-        off_axis: (P, V) codes as in `Observations.off_axis`.
-
-    Returns:
-        The falloff, proven or not.
-    """
+    """Falloff of all views; arguments as for `solve_gains`, and `Observations.off_axis` (P, V)."""
     known = np.isfinite(log[..., 0])
     values = np.nan_to_num(log).mean(2)
     square = off_axis / 255.0
@@ -85,8 +71,7 @@ def _least_squares(
 ) -> tuple[float, Array, Array]:
     """Strength, gains (V,) and points (P,) whose sums are nearest to the values (P, V).
 
-    Points are eliminated first, then gains. Before anything is seen the strength is 0, give or take
-    `prior`.
+    Points are eliminated first, then gains; `prior` is the deviation of the strength beforehand.
     """
     weight = weighing.weight
     mass = weight.sum(1)

@@ -17,7 +17,7 @@ from torch import Tensor
 from robir.appearance.light.problem import SUN_RAY_PAIRS, Problem
 from robir.appearance.light.shade import irradiance_doubt
 from robir.appearance.light.solver import Light
-from robir.appearance.material.gloss import Gloss
+from robir.appearance.material.specular import SpecularMaterial
 from robir.appearance.photometry.statistics import (
     display_mean,
     linear_observations,
@@ -26,15 +26,15 @@ from robir.appearance.photometry.statistics import (
 )
 from robir.appearance.texture.residual_shading import (
     ALIKE_BRIGHTNESS,
-    evened,
     most_albedo,
+    smoothed_albedo,
     with_normals,
 )
 from robir.appearance.texture.shadow_edges import (
     Reference,
+    fill_clipped,
     on_edges,
-    settle_clipped,
-    settle_edges,
+    solve_shadow_edges,
 )
 from robir.appearance.texture.texels import (
     MAX_ALBEDO,
@@ -48,7 +48,7 @@ from robir.appearance.texture.texels import (
 from robir.appearance.texture.uncertainty import distance_to_seen, standard_error
 from robir.capture.capture import View
 from robir.geometry.mesh.tracer import EmbreeTracer
-from robir.steps import Course, Step
+from robir.steps import Pipeline, Step
 from robir.transport.observe import Observations, observe
 
 Floats = NDArray[np.float32]
@@ -56,22 +56,22 @@ Floats = NDArray[np.float32]
 # every so manieth texel stands for its neighbours where texels are compared with each other or
 # normals are turned: the atlas is finer than photographs and mesh
 _STEP = 4
-_LEAST_PAINT = 0.1  # least share of a texel's radiance that is the paint's below a specular layer
+_LEAST_DIFFUSE = 0.1  # least share of a texel's radiance that is the paint's below a specular layer
 _DIM_SHARE = 0.02  # irradiance that hardly tells albedo, over the mean of all texels
 _VIEW_ERROR = 0.05  # error of log albedo that all views have in common
 _EDGE_ERROR = 0.25  # the same at a shadow's edge
 # error of the specular light that is subtracted, over itself: little is known of a dark material in
 # the shade, most of whose light is reflected
-_GLOSS_ERROR = 0.4
+_SPECULAR_ERROR = 0.4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Material:
+class TexelMaterial:
     """What is known of the texels beside their albedo, from the surface samples.
 
     Attributes:
         floor: (N, 3) radiance that a specular layer adds to every view.
-        kept: (N, 3) share of the light that enters paint below it.
+        kept: (N, 3) share of the light that enters the diffuse layer below it.
         metal: (N, 3) base colour where it is metal.
         metallic: (N,) bool.
         roughness: (N,) float32.
@@ -84,19 +84,19 @@ class Material:
     roughness: Floats
 
     @classmethod
-    def of(cls, gloss: Gloss, blend: Blend) -> Material:
+    def of(cls, specular: SpecularMaterial, blend: Blend) -> TexelMaterial:
         """Values of the samples between which the texels lie."""
         return cls(
-            floor=blend(torch.from_numpy(gloss.floor)),
-            kept=blend(torch.from_numpy(gloss.kept)),
-            metal=blend(torch.from_numpy(gloss.metal)),
-            metallic=blend(torch.from_numpy(gloss.metallic)[:, None])[:, 0] > 0.5,
-            roughness=blend(torch.from_numpy(gloss.roughness)[:, None])[:, 0],
+            floor=blend(torch.from_numpy(specular.floor)),
+            kept=blend(torch.from_numpy(specular.kept)),
+            metal=blend(torch.from_numpy(specular.metal)),
+            metallic=blend(torch.from_numpy(specular.metallic)[:, None])[:, 0] > 0.5,
+            roughness=blend(torch.from_numpy(specular.roughness)[:, None])[:, 0],
         )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Painting:
+class TexelState:
     """Texels whose albedo is being read.
 
     Attributes:
@@ -111,17 +111,17 @@ class Painting:
         narrow: (N, J) visibility times cosine of the suns.
         albedo: (N, 3) so far.
         spread: (N,) standard error over views of the log of a texel's brightness.
-        edge: (N,) bool, where nobody knows how much sun arrives.
+        edge: (N,) bool, where it is not known how much sun arrives.
         disagreement: (N,) standard deviation of log albedo by views, shadow edges and dim light.
         unknown: (N,) the same, with what a specular layer hides.
         reference: Texels whose albedo is certain; None before it was read.
-        smooth: (N, 3) albedo freed of what is no paint; None where it was not.
+        smooth: (N, 3) smoothed albedo; None where it was not smoothed.
     """
 
     problem: Problem
     light: Light
     texels: Texels
-    material: Material
+    material: TexelMaterial
     seen: Observations
     total: Floats
     clipped: NDArray[np.bool_]
@@ -138,13 +138,13 @@ class Painting:
     @classmethod
     def of(
         cls,
-        solved: tuple[Problem, Light, Gloss],
+        solved: tuple[Problem, Light, SpecularMaterial],
         texels: Texels,
         views: tuple[View, ...],
         tracer: EmbreeTracer,
-    ) -> Painting:
+    ) -> TexelState:
         """Texels with what photographs show and what arrives at them; see `texel_albedo`."""
-        problem, light, gloss = solved
+        problem, light, specular = solved
         blend = Blend(problem, texels)
         soft = blend(problem.scene.soft @ light.amplitudes.soft + problem.indirect)
         seen = observe(tracer, texels.position, texels.normal, views, problem.scene.offset)
@@ -158,7 +158,7 @@ class Painting:
             problem=problem,
             light=light,
             texels=texels,
-            material=Material.of(gloss, blend),
+            material=TexelMaterial.of(specular, blend),
             seen=seen,
             total=shown.clamp(min=1e-5).numpy(),
             clipped=radiance.clipped.numpy(),
@@ -183,12 +183,12 @@ class Painting:
 
     @property
     def below(self) -> Floats:
-        """(N, 3) radiance of the paint below a specular layer."""
-        return np.maximum(self.total - self.material.floor, _LEAST_PAINT * self.total)
+        """(N, 3) diffuse radiance below a specular layer."""
+        return np.maximum(self.total - self.material.floor, _LEAST_DIFFUSE * self.total)
 
     @property
     def exitant(self) -> Floats:
-        """(N, 3) radiosity of the paint."""
+        """(N, 3) diffuse radiosity."""
         return np.pi * self.below / self.material.kept
 
     @property
@@ -222,27 +222,18 @@ class Painting:
 
 
 def texel_albedo(
-    solved: tuple[Problem, Light, Gloss],
+    solved: tuple[Problem, Light, SpecularMaterial],
     texels: Texels,
     views: tuple[View, ...],
     tracer: EmbreeTracer,
-    course: Course,
+    pipeline: Pipeline,
 ) -> TexelAlbedo:
-    """Albedo of every texel.
+    """Albedo of every texel (base colour of metal), how well it is known, roughness and metal.
 
-    Args:
-        solved: Scene under the chosen tone curve, its light, and specular material.
-        texels: Points of the atlas.
-        views: Photographs, at the size they are to be read at.
-        tracer: Tracer of the mesh.
-        course: Of the stage's steps.
-
-    Returns:
-        Albedo (base colour where the material is metal), how well it is known, roughness and metal;
-        texels no view shows take their neighbours' albedo.
+    Texels no view shows take their neighbours' albedo. Photographs have the size they are read at.
     """
-    start = Painting.of(solved, texels, views, tracer)
-    return course.carry_out(ALBEDO, start).values
+    start = TexelState.of(solved, texels, views, tracer)
+    return pipeline.run(ALBEDO, start).values
 
 
 def _spread(linear: Tensor, seen: Observations) -> Floats:
@@ -255,7 +246,7 @@ def _spread(linear: Tensor, seen: Observations) -> Floats:
     return (variance / count).sqrt().numpy()
 
 
-def _divide(state: Painting) -> Painting:
+def _divide(state: TexelState) -> TexelState:
     irradiance, metallic = state.irradiance, state.material.metallic
     albedo = state.exitant / np.hypot(irradiance, _DIM_SHARE * irradiance.mean(0))
     albedo[metallic] = state.material.metal[metallic]
@@ -266,7 +257,7 @@ def _divide(state: Painting) -> Painting:
     common = np.where(edge, _EDGE_ERROR, _VIEW_ERROR)
     known = np.sqrt(state.spread**2 + common**2 + doubt**2)
     disagreement = np.where(state.coverage > 0, known, 1.0).clip(0.0, 1.0)
-    reflected = _GLOSS_ERROR * state.material.floor.mean(1) / state.below.mean(1)
+    reflected = _SPECULAR_ERROR * state.material.floor.mean(1) / state.below.mean(1)
     return replace(
         state,
         albedo=albedo,
@@ -277,37 +268,39 @@ def _divide(state: Painting) -> Painting:
     )
 
 
-def _settle_edges(state: Painting) -> Painting:
+def _solve_shadow_edges(state: TexelState) -> TexelState:
     if not state.edge.any():
         return state
     arriving = (state.soft, state.narrow, state.sun)
-    paint = (state.albedo, state.exitant)
-    albedo = settle_edges(paint, arriving, state.light, state.texels, state.edge, state.known)
+    diffuse = (state.albedo, state.exitant)
+    albedo = solve_shadow_edges(
+        diffuse, arriving, state.light, state.texels, state.edge, state.known
+    )
     return replace(state, albedo=albedo)
 
 
-def _settle_clipped(state: Painting) -> Painting:
+def _fill_clipped(state: TexelState) -> TexelState:
     if not state.clipped.any():
         return state
-    albedo = settle_clipped(state.albedo, state.clipped, state.known, state.texels)
+    albedo = fill_clipped(state.albedo, state.clipped, state.known, state.texels)
     return replace(state, albedo=albedo)
 
 
-def _fill_unseen(state: Painting) -> Painting:
+def _fill_unseen(state: TexelState) -> TexelState:
     hidden, albedo = state.coverage == 0, state.albedo.copy()
     albedo[hidden] = state.known.nearest_albedo(state.texels, hidden)
     return replace(state, albedo=np.clip(albedo, MIN_ALBEDO, MAX_ALBEDO))
 
 
-def _even(state: Painting) -> Painting:
+def _smooth_albedo(state: TexelState) -> TexelState:
     points = with_normals(state.texels.position, state.texels.normal, NORMAL_SCALE)
     reflected = state.total * state.material.kept / state.below
     most = most_albedo(state.albedo, reflected, state.disagreement, ALIKE_BRIGHTNESS)
-    smooth = np.minimum(evened(state.albedo, state.unknown, points, _STEP), most)
+    smooth = np.minimum(smoothed_albedo(state.albedo, state.unknown, points, _STEP), most)
     return replace(state, smooth=smooth.clip(MIN_ALBEDO, MAX_ALBEDO))
 
 
-ALBEDO: tuple[Step[Painting], ...] = (
+ALBEDO: tuple[Step[TexelState], ...] = (
     Step(
         name="irradiance",
         purpose="divides what paint sends by what arrives, the suns traced per texel",
@@ -319,13 +312,13 @@ ALBEDO: tuple[Step[Painting], ...] = (
         name="shadow-edges",
         purpose="finds how much sun arrives at a shadow's edge by the albedo about it",
         source="RobIR's regularised visibility ratio (METHOD 2.7), per texel",
-        run=_settle_edges,
+        run=_solve_shadow_edges,
     ),
     Step(
         name="clipped-texels",
         purpose="makes what is clipped as bright as its surroundings",
         source="ours",
-        run=_settle_clipped,
+        run=_fill_clipped,
     ),
     Step(
         name="unseen-texels",
@@ -338,7 +331,7 @@ ALBEDO: tuple[Step[Painting], ...] = (
         name="smooth-albedo",
         purpose="takes out of albedo what errors of mesh and light have left in it",
         source="ours: bilateral in albedo, corrections blurred to the width of the mesh's errors",
-        run=_even,
+        run=_smooth_albedo,
     ),
 )
 """How albedo is read, in this order."""

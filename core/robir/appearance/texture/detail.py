@@ -1,16 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Textures as fine as the photographs: detail that shading cannot explain is paint.
+"""Textures as fine as the photographs: detail that shading cannot explain is albedo.
 
-Albedo is solved on texels of a moderate size. What a photograph shows finer than these, against its
-own mean about the spot,
+Albedo is solved on texels of a moderate size. What a photograph shows finer than these,
 
     d(p) = log linear(p) - log mean of linear about p over one solved texel,
 
-is free of its exposure and of all light that varies slowly; the few photographs that resolve a spot
-best, head-on, near and sharp, agree on it, and albedo is multiplied by exp d. So colours come from
-all views and detail from the best, as in multi-band blending (Burt and Adelson 1983, "A
-multiresolution spline with application to image mosaics"; Allene, Pons and Keriven 2008, "Seamless
-image-based texture atlases using multi-band blending").
+is free of exposure and of all light that varies slowly. The few photographs that resolve a spot
+best agree on it, and albedo is multiplied by exp d, as in multi-band blending (Burt and Adelson
+1983, "A multiresolution spline with application to image mosaics"; Allene, Pons and Keriven 2008,
+"Seamless image-based texture atlases using multi-band blending").
 
 Batch letters: N fine texels, M of them in one view, K views a texel.
 """
@@ -69,18 +67,14 @@ def finer(
     photographs: tuple[Sequence[View], AbstractToneCurve],
     side: int,
 ) -> tuple[Mask, TexelAlbedo]:
-    """Texture values with the photographs' detail.
+    """Texture values with the photographs' detail, and the filled texels (side, side).
 
     Args:
         values: As solved.
         inside: (T, T), the texels they belong to.
         surface: Unwrapped mesh, unit frame, and its tracer.
         photographs: Views to read, unit frame, and their tone curve.
-        side: Texels along a side that are wanted; the values come back as they are where these are
-            no more than T.
-
-    Returns:
-        The texels of the finer atlas that hold something, (side, side), and their values.
+        side: Texels along a side; no more than T leaves all as it is.
     """
     if side <= len(inside):
         return inside, values
@@ -112,15 +106,9 @@ def finer(
 
 
 def detail_of(position: Floats, normal: Floats, lenses: Sequence[_Lens]) -> Floats:
-    """What the best views show at texels against what they show about them.
+    """Log (N, 3) of what the best views show at texels over what they show about them.
 
-    Args:
-        position: (N, 3), unit frame.
-        normal: (N, 3), unit.
-        lenses: Photographs.
-
-    Returns:
-        (N, 3), natural logarithm; 0 where no view shows the texel well.
+    Of positions, unit frame, and unit normals (N, 3); 0 where no view shows the texel well.
     """
     weight = np.zeros((len(position), _BEST_VIEWS), np.float32)
     detail = np.zeros((len(position), _BEST_VIEWS, 3), np.float32)
@@ -139,15 +127,7 @@ def detail_of(position: Floats, normal: Floats, lenses: Sequence[_Lens]) -> Floa
 
 
 def agreed(weight: Floats, detail: Floats) -> Floats:
-    """The detail that views agree on: their mean, those that stand alone counting little.
-
-    Args:
-        weight: (N, K), 0 where there is none.
-        detail: (N, K, 3) natural logarithm.
-
-    Returns:
-        (N, 3); 0 where no view counts.
-    """
+    """Mean detail (N, 3) of log (N, K, 3) by weights (N, K); what stands alone counts little."""
     weight = weight / np.maximum(weight.max(1, keepdims=True), 1e-20)
     share = weight
     mean = np.zeros((len(weight), 3), np.float32)
@@ -265,15 +245,7 @@ class _Lens:
         return _Levels.of(radiance.float(), counts.float(), most)
 
     def read(self, position: Floats, normal: Floats) -> tuple[NDArray[np.int64], Floats, Floats]:
-        """Detail of the texels that the photograph shows.
-
-        Args:
-            position: (N, 3), unit frame.
-            normal: (N, 3), unit.
-
-        Returns:
-            Numbers of the texels (M,), what the photograph counts there (M,), and detail (M, 3).
-        """
+        """Texels (M,) that the photograph shows, their weights (M,), and their detail (M, 3)."""
         texel, place, scale, density = self._shown(position, normal)
         if not len(texel):
             return texel, np.zeros(0, np.float32), np.zeros((0, 3), np.float32)

@@ -33,12 +33,9 @@ _BLURRED = 12  # texels over which corrections are blurred at most
 
 
 def with_normals(position: Floats, normal: Floats, scale: float) -> Floats:
-    """Points (N, 6) among which near ones lie close together and face alike.
+    """Points (N, 6) that lie close together where positions do and unit normals face alike.
 
-    Args:
-        position: (N, 3).
-        normal: (N, 3) unit.
-        scale: How far apart two opposite normals count, half of it.
+    Opposite normals count as 2 `scale` apart.
     """
     return np.concatenate([position, scale * normal], axis=1)
 
@@ -46,37 +43,26 @@ def with_normals(position: Floats, normal: Floats, scale: float) -> Floats:
 def most_albedo(albedo: Floats, reflected: Floats, disagreement: Floats, alike: float) -> Floats:
     """Albedo (N, 3) that no surroundings may lift a texel above.
 
-    Were none of its light reflected, all of it would be the paint's; a dark polished part is not
-    known well, but known to be darker than the bright stone about it. To that comes what mesh and
-    light may be wrong by: without `alike`, what a wrong normal darkens stays dark.
-
-    Args:
-        albedo: (N, 3) of the light that is not reflected.
-        reflected: (N, 3) radiance over that of the paint alone, about 1 or more.
-        disagreement: (N,) one standard deviation of log albedo by views, shadow edges, dim light.
-        alike: Difference of log albedo within which texels may be one material.
+    Were none of its light reflected, all of it would be diffuse. To that comes what mesh and light
+    may be wrong by: `disagreement` (N,), a deviation of log albedo, and `alike`.
     """
     slack = np.exp(np.hypot(disagreement, alike))[:, None]
     return (albedo * np.maximum(reflected, 1.0) * slack).astype(np.float32)
 
 
-def evened(albedo: Floats, unknown: Floats, points: Floats, step: int) -> Floats:
-    """Albedo without what errors of mesh, light and shadow edges leave in it.
+def smoothed_albedo(albedo: Floats, unknown: Floats, points: Floats, step: int) -> Floats:
+    """Albedo (N, 3) without what errors of mesh, light and shadow edges leave in it.
 
-    Every texel is drawn towards the mean of its wider surroundings over what is like it, weighted
-    by the inverse of the variances. Errors of the light change brightness more than hue, so
-    likeness asks more of hue, and of brightness no more than the texel's own is known. The
-    corrections, not the albedo, are then blurred: no error varies faster than the mesh's do, and
-    texture that is finer stays as the photographs have it.
+    Every texel is drawn towards the mean of what is like it in its wider surroundings, by inverse
+    variances. Errors of the light change brightness more than hue, so likeness asks more of hue.
+    The corrections, not the albedo, are then blurred: no error varies faster than the mesh's do,
+    and finer texture stays.
 
     Args:
         albedo: (N, 3), > 0.
         unknown: (N,) one standard deviation of its logarithm.
         points: (N, 6) result of `with_normals`.
         step: Every so manieth texel stands for its neighbours.
-
-    Returns:
-        (N, 3).
     """
     nodes = np.arange(0, len(points), step)
     afar = np.arange(0, len(nodes), step)
@@ -105,13 +91,10 @@ def evened(albedo: Floats, unknown: Floats, points: Floats, step: int) -> Floats
 
 
 def _drawn_together(own: tuple[Floats, Floats, Floats], about: Floats, known: Floats) -> Floats:
-    """Log albedo (3, M) of nodes, drawn towards those about them that are alike.
+    """Log albedo (3, M) of nodes, drawn towards those `about` them (3, M, K) that are alike.
 
-    Args:
-        own: The nodes' log albedo (3, M), certainty (M,), and factors of the squared differences
-            in brightness and in hue (2, M).
-        about: (3, M, K) log albedo of the nodes about each.
-        known: (M, K) their certainty, 0 beyond reach.
+    `own` is log albedo (3, M), certainty (M,), and factors (2, M) of squared differences in
+    brightness and hue; `known` (M, K) is the others' certainty, 0 beyond reach.
     """
     log, certainty, width = own
     apart = about - log[..., None]
@@ -124,10 +107,10 @@ def _drawn_together(own: tuple[Floats, Floats, Floats], about: Floats, known: Fl
 
 
 def _nearest(
-    points: Floats, among: Floats, count: int, reach: float
+    points: Floats, others: Floats, count: int, reach: float
 ) -> tuple[Floats, NDArray[np.int64]]:
     """Distances and indices (N, count) of the nearest within reach; infinite, 0 beyond."""
-    distance, index = cKDTree(among).query(
+    distance, index = cKDTree(others).query(
         points, count, eps=0.3, distance_upper_bound=reach, workers=num_workers()
     )
     missing = ~np.isfinite(distance)

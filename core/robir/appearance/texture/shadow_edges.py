@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Albedo where a shadow's edge runs, or where photographs are clipped: one of the surroundings'.
+"""Albedo at shadow edges and where photographs are clipped: one of the surroundings'.
 
-There the mesh is never exact enough to say how much sun arrives. The share of sun is searched that
-makes the texel's albedo one that its surroundings have, and near what the rays say: RobIR's
-regularised visibility estimation (METHOD 2.7), per texel and without a network.
+The share of sun is searched that makes a texel's albedo one that its surroundings have, near what
+the rays say: RobIR's regularised visibility estimation (METHOD 2.7), per texel, without a network.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ _MESH_ERROR = 0.02  # error of the mesh along the surface that a shadow may have
 _BRIGHTEST = 0.9
 _REFERENCE_STEP = 8  # every so manieth certain texel is looked up, so that a few reach far
 # certain texels whose albedos one at an edge may have. The nearest few lie on one side of the
-# uncertain band and lack the other paint of a border within it.
+# uncertain band and lack the other material of a border within it.
 _PALETTE = 128
 _NUM_SHARES = 11  # shares of the sun that are tried, from none to all
 # difference of log albedo, summed over the channels, that a share differing from the traced one by
@@ -51,14 +50,10 @@ _CLIPPED_QUANTILE = 0.8  # of their albedos, that it takes
 def on_edges(
     problem: Problem, light: Light, texels: Texels, albedo: Floats, sky: float
 ) -> NDArray[np.bool_]:
-    """Texels where nobody knows how much sun arrives, (N,).
+    """Texels (N,) where it is not known how much sun arrives.
 
-    Args:
-        problem: Scene under the chosen tone curve.
-        light: Solved light.
-        texels: Points of the atlas.
-        albedo: (N, 3) by the mesh's own shadows.
-        sky: Mean irradiance without the suns; one that is weak beside it casts no edge.
+    By albedo (N, 3) under the mesh's own shadows, and the mean irradiance of the `sky`, beside
+    which a weak sun casts no edge.
     """
     if not len(light.axes):
         return np.zeros(len(albedo), bool)
@@ -68,18 +63,14 @@ def on_edges(
     facing = np.clip(texels.normal @ light.axes.T, 0, None)
     share = wide / np.maximum(facing, 1e-3)
     partly = share < 1 - _LEAST_SHARE
-    unsure = (share > _LEAST_SHARE) & partly
-    unsure |= _contested(problem.scene, light, texels, _MESH_ERROR)
-    unsure |= partly & (albedo.max(1) > _BRIGHTEST)[:, None]
-    return (unsure & (facing * strength > _LEAST_STRENGTH)).any(1)
+    uncertain = (share > _LEAST_SHARE) & partly
+    uncertain |= _contested(problem.scene, light, texels, _MESH_ERROR)
+    uncertain |= partly & (albedo.max(1) > _BRIGHTEST)[:, None]
+    return (uncertain & (facing * strength > _LEAST_STRENGTH)).any(1)
 
 
 def _contested(scene: Scene, light: Light, texels: Texels, mesh_error: float) -> NDArray[np.bool_]:
-    """Whether points a mesh error away along the surface see a sun differently, (N, J).
-
-    The lobe of `EDGE_SHARPNESS` spans little where the blocker is near; contact shadows are found
-    by stepping aside instead.
-    """
+    """Whether points a mesh error away along the surface see a sun differently, (N, J)."""
     first, second = orthonormal_frame(torch.from_numpy(texels.normal))
     lit = []
     for step in (0 * first, first, -first, second, -second):
@@ -122,8 +113,8 @@ class Reference:
         return self._albedo[::_REFERENCE_STEP][index]
 
 
-def settle_edges(
-    paint: tuple[Floats, Floats],
+def solve_shadow_edges(
+    diffuse: tuple[Floats, Floats],
     arriving: tuple[Floats, Floats, Floats],
     light: Light,
     texels: Texels,
@@ -133,7 +124,7 @@ def settle_edges(
     """Albedo by the share of sun at shadow edges that makes it one of the surroundings'.
 
     Args:
-        paint: Albedo (N, 3) by the mesh's own shadows, and radiosity (N, 3).
+        diffuse: Albedo (N, 3) by the mesh's own shadows, and radiosity (N, 3).
         arriving: Irradiance (N, 3) from all but the suns, visibility times cosine of these (N, J),
             and what they send (J, 3).
         light: Solved light.
@@ -141,7 +132,7 @@ def settle_edges(
         edge: (N,) those at edges.
         reference: Certain texels.
     """
-    (albedo, exitant), (soft, narrow, sun) = paint, arriving
+    (albedo, exitant), (soft, narrow, sun) = diffuse, arriving
     facing = np.clip(texels.normal @ light.axes.T, 0, None)
     strongest = int(sun.mean(1).argmax())
     others = [index for index in range(len(sun)) if index != strongest]
@@ -149,32 +140,28 @@ def settle_edges(
     full = facing[edge, strongest][:, None] * sun[strongest]
     traced = narrow[edge, strongest] / np.maximum(facing[edge, strongest], 1e-3)
     rows = np.flatnonzero(edge)
-    settled = albedo.copy()
+    solved = albedo.copy()
 
-    def likeliest(part: slice) -> Floats:
-        among = reference.palette(texels, rows[part], _PALETTE)
-        return _likeliest(exitant[rows[part]], (rest[part], full[part], traced[part]), among)
+    def matched(part: slice) -> Floats:
+        surroundings = reference.palette(texels, rows[part], _PALETTE)
+        return _best_match(
+            exitant[rows[part]], (rest[part], full[part], traced[part]), surroundings
+        )
 
-    parts = side_by_side(likeliest, blocks(len(rows), EDGE_CHUNK))
-    settled[rows] = np.concatenate(parts)
-    return settled
+    parts = side_by_side(matched, blocks(len(rows), EDGE_CHUNK))
+    solved[rows] = np.concatenate(parts)
+    return solved
 
 
-def _likeliest(exitant: Floats, sun: tuple[Reals, Reals, Reals], among: Floats) -> Floats:
-    """Of the albedos that shares of sun would give, the one most like some surroundings'.
+def _best_match(exitant: Floats, sun: tuple[Reals, Reals, Reals], surroundings: Floats) -> Floats:
+    """Of the albedos that shares of sun would give, the one (M, 3) most like some surroundings'.
 
-    Args:
-        exitant: (M, 3) pi times diffuse radiance.
-        sun: Irradiance without the sun (M, 3), that of the whole sun (M, 3), and the share (M,) of
-            it that the rays say.
-        among: (M, K, 3) albedos of the surroundings.
-
-    Returns:
-        (M, 3).
+    Of pi times diffuse radiance (M, 3); irradiance without the sun and of it whole (M, 3), and its
+    share (M,) by rays; albedos (M, K, 3) about.
     """
     rest, full, traced = sun
     # a channel at a time: sums over a last axis of three are ten times slower
-    palette = np.log(np.clip(among, 1e-3, None)).astype(np.float32).transpose(2, 0, 1).copy()
+    palette = np.log(np.clip(surroundings, 1e-3, None)).astype(np.float32).transpose(2, 0, 1).copy()
     few = min(3, palette.shape[2])
     best = np.full(len(exitant), np.inf)
     result = np.empty((len(exitant), 3), np.float32)
@@ -190,14 +177,14 @@ def _likeliest(exitant: Floats, sun: tuple[Reals, Reals, Reals], among: Floats) 
     return result
 
 
-def settle_clipped(
+def fill_clipped(
     albedo: Floats, clipped: NDArray[np.bool_], reference: Reference, texels: Texels
 ) -> Floats:
     """Where a channel was clipped, the brightest certain surroundings, never less than measured."""
     rows = np.flatnonzero(clipped.any(1))
     palette = reference.palette(texels, rows, _CLIPPED_PALETTE)
     around = np.quantile(palette, _CLIPPED_QUANTILE, axis=1)
-    settled = albedo.copy()
+    solved = albedo.copy()
     raised = np.maximum(albedo[rows], around)
-    settled[rows] = np.where(clipped[rows], raised, albedo[rows])
-    return settled
+    solved[rows] = np.where(clipped[rows], raised, albedo[rows])
+    return solved

@@ -19,10 +19,7 @@ _MOST_TOGETHER = 8192  # along a side of an atlas of UDIM tiles: what memory is 
 def solved_side(config: AppearanceConfig, cells: int = 1) -> int:
     """Texels along a side of the atlas that is solved: no more than the textures may have.
 
-    Args:
-        config: Sizes.
-        cells: Along a side of an atlas of UDIM tiles, each of which has a power of two; then the
-            atlas is as near to the size asked for as these allow.
+    `cells` are along a side of an atlas of UDIM tiles, each of which has a power of two.
     """
     if cells == 1:
         return min(config.shading_size, config.texture_size)
@@ -31,13 +28,7 @@ def solved_side(config: AppearanceConfig, cells: int = 1) -> int:
 
 
 def most_side(config: AppearanceConfig, cells: int = 1) -> int:
-    """Most texels along a side of the atlas: a tile's textures are as large as the only one's.
-
-    Args:
-        config: Sizes.
-        cells: Along a side of an atlas of UDIM tiles; all of these have at most
-            `texel_size.most_together`.
-    """
+    """Most texels along a side of the atlas; all UDIM tiles together have `_MOST_TOGETHER`."""
     if cells == 1:
         return config.texture_size
     most = _MOST_TOGETHER / cells
@@ -45,14 +36,9 @@ def most_side(config: AppearanceConfig, cells: int = 1) -> int:
 
 
 def pixel_width(transport: Transport, cameras: Mapping[str, Camera]) -> float:
-    """Width on the surface of a pixel of the view that shows a spot best, the median spot's.
+    """Median width on the surface, unit frame, of a pixel of the view that shows a spot best.
 
-    Args:
-        transport: Samples, and which views show them under what cosine.
-        cameras: Of the photographs at the size they are read at, unit frame, by name.
-
-    Returns:
-        Unit frame; infinite if no view shows anything.
+    Cameras have the size that photographs are read at; infinite if no view shows anything.
     """
     seen = transport.observations
     best = np.full(len(seen.weight), np.inf)
@@ -68,15 +54,9 @@ def pixel_width(transport: Transport, cameras: Mapping[str, Camera]) -> float:
 
 
 def texture_side(mesh: Mesh, width: float, sizes: tuple[int, int]) -> int:
-    """Side of a square texture whose texels are no wider than some width on the surface.
+    """Side of a square texture whose texels are no wider than `width` on an unwrapped mesh.
 
-    Args:
-        mesh: Unwrapped, unit frame.
-        width: Unit frame, > 0.
-        sizes: Least and most texels of a side.
-
-    Returns:
-        The least size doubled as often as it takes, and at most the most.
+    The least of `sizes` doubled as often as it takes, and at most the most.
     """
     a, b, c = (mesh.vertices[mesh.faces[:, k]].astype(np.float64) for k in range(3))
     area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from robir.appearance.light.problem import SUN_RAY_PAIRS, Problem
 from robir.appearance.light.solver import Light
-from robir.appearance.material.gloss import Gloss, specular_towards
+from robir.appearance.material.specular import SpecularMaterial, specular_towards
 from robir.appearance.texture.residual_shading import with_normals
 from robir.workers import num_workers
 
@@ -48,8 +48,8 @@ class TexelAlbedo:
         albedo: (N, 3) float32, linear Rec.709.
         coverage: (N,) int, views that show the texel.
         disagreement: (N,) float32, one standard deviation of log albedo by views, shadow edges and
-            dim light: a sign of a wrong mesh, wrong poses or uneven exposure.
-        read: (N, 3) float32, albedo as the photographs have it, before it was evened.
+            dim light.
+        read: (N, 3) float32, albedo before smoothing.
         unknown: (N,) float32, one standard deviation of its logarithm.
         uncertainty: (N,) float32, one standard error of log albedo, see uncertainty.py.
         roughness: (N,) float32.
@@ -74,12 +74,7 @@ class Blend:
     """
 
     def __init__(self, problem: Problem, texels: Texels) -> None:
-        """Find the nearest samples of every texel, once.
-
-        Args:
-            problem: Scene with its samples.
-            texels: Where values are wanted.
-        """
+        """Find the nearest samples of every texel, once."""
         surfels = problem.scene.transport.surfels
         seen = np.flatnonzero(problem.radiance.seen.numpy())
         points = with_normals(surfels.position, surfels.normal, NORMAL_SCALE)[seen]
@@ -104,30 +99,27 @@ def sun_transfer(
 
 
 def radiance_towards(
-    solved: tuple[Problem, Light, Gloss],
+    solved: tuple[Problem, Light, SpecularMaterial],
     points: Texels,
     rays: tuple[NDArray[np.int64] | slice, Floats],
-    paint: tuple[Floats, Floats],
+    material: tuple[Floats, Floats],
 ) -> tuple[Floats, Floats]:
-    """Radiance, linear Rec.709, that points send towards cameras.
+    """Radiance (M, 3), linear Rec.709, that points send towards cameras, and of the matt texture.
 
     Args:
         solved: Scene under a tone curve, its light and specular material.
-        points: Where; what arrives there is found once, however many cameras see it.
+        points: What arrives there is found once, however many cameras see it.
         rays: Point of each of M rays, and its direction (M, 3) unit, towards the camera.
-        paint: Albedo (M, 3) and metal (M, 1) of each.
-
-    Returns:
-        Of the whole material (M, 3), and of the matt texture alone (M, 3).
+        material: Albedo (M, 3) and metal (M, 1) of each.
     """
-    (problem, light, gloss), (point, towards), (albedo, metallic) = solved, rays, paint
+    (problem, light, specular), (point, towards), (albedo, metallic) = solved, rays, material
     blend = Blend(problem, points)
     soft = blend(problem.scene.soft @ light.amplitudes.soft + problem.indirect)
     samples = 2 * SUN_RAY_PAIRS
     sun = sun_transfer(problem, light, points, light.sharpness, samples)
     irradiance = (soft + sun @ light.amplitudes.sharp.numpy())[point]
     dielectric, metal, through = specular_towards(
-        problem, light, gloss, blend.nearest[point], towards
+        problem, light, specular, blend.nearest[point], towards
     )
     matt = albedo * irradiance / np.pi
     return (1 - metallic) * (through * matt + dielectric) + metallic * albedo * metal, matt

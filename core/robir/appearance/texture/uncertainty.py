@@ -5,15 +5,10 @@ The causes of an error hardly depend on each other, so their variances add:
 
     e^2 = floor^2 + (spread s)^2 + (changed c)^2 + few^2 / n + (distance d)^2
 
-with s the standard error of the views about the texel's brightness, c how far its albedo lay off
-that of its surroundings, n the number of views and d the distance to the nearest texel that has
-any. The factors, `UncertaintyConfig`, are no theory: they make bands of e hold what a normal error
-would on captures with known albedo, 90 % of the texels within 1.645 e (docs/uncertainty.md). The
-error is that of albedo up to one factor a channel for the whole object, which photographs do not
-fix.
-
-Given these, the share of sun in a texel's light, shadow edges, dimness and clipping said nothing
-more: where they go wrong, c is large.
+with s the standard error of the views about the texel's brightness, c how far smoothing changed its
+albedo, n the number of views and d the distance to the nearest texel that has any. The factors make
+bands of e hold 90 % of the texels of captures with known albedo within 1.645 e, up to one factor a
+channel for the whole object (docs/uncertainty.md).
 """
 
 from __future__ import annotations
@@ -43,17 +38,13 @@ _DISTANCE = 14.0
 def standard_error(
     spread: Floats, changed: Floats, count: NDArray[np.integer[Any]], distance: Floats
 ) -> Floats:
-    """One standard error of log albedo.
+    """One standard error (N,) of log albedo, float32 in [floor, LARGEST].
 
     Args:
         spread: (N,) standard error over the views of the log of a texel's brightness.
-        changed: (N,) mean over channels of the change of log albedo that its surroundings asked
-            for, absolute.
+        changed: (N,) absolute change of log albedo by smoothing, mean over channels.
         count: (N,) views that show the texel.
         distance: (N,) to the nearest texel that a view shows, unit frame.
-
-    Returns:
-        (N,) float32 in [floor, LARGEST].
     """
     variance = _FLOOR**2 + (_SPREAD * spread) ** 2 + (_CHANGED * changed) ** 2
     variance = variance + _FEW**2 / np.maximum(count, 1)
@@ -64,8 +55,7 @@ def standard_error(
 def distance_to_seen(position: Floats, seen: NDArray[np.bool_]) -> Floats:
     """Distance of every point (N, 3) to the nearest that is seen.
 
-    Infinite if none is, and from where it alone makes an albedo unknown: points far from all others
-    are what takes a search most of its time.
+    Infinite if none is, and from where it alone makes an albedo unknown: these cost most.
     """
     distance = np.where(seen, 0.0, np.inf).astype(np.float32)
     if seen.any() and not seen.all():

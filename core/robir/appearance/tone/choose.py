@@ -16,10 +16,10 @@ from robir.appearance.light.solver import Light
 from robir.appearance.light.sun_search import find_suns
 from robir.appearance.tone.clipping import ClippingEvidence, clipping_evidence
 from robir.appearance.tone.gamut import unable
-from robir.appearance.tone.ranking import CAMERA, PLAIN, Candidate, ranked
+from robir.appearance.tone.ranking import CAMERA, PLAIN, CurveCandidate, ranked
 from robir.maths.tone import curve_from_name
 from robir.maths.tone_curve import AbstractToneCurve
-from robir.steps import Course, Step
+from robir.steps import Pipeline, Step
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,8 +32,7 @@ class ToneChoice:
         seed: Of the search.
         allowed: Curves that may be chosen, simplest first.
         evidence: Of the histogram.
-        beyond: Shares of the observations whose colours no light gives under a curve, by the names
-            of the curves that these rule out.
+        beyond: Names of curves that cannot reach some colours, with these colours' share.
         suns: The light under the first curve: where shadows lie does not depend on it.
         candidates: The chosen one first, then by score.
     """
@@ -45,7 +44,7 @@ class ToneChoice:
     evidence: ClippingEvidence
     beyond: dict[str, float]
     suns: Light | None = None
-    candidates: list[Candidate] = field(default_factory=list)
+    candidates: list[CurveCandidate] = field(default_factory=list)
 
     @classmethod
     def of(cls, scene: Scene, config: AppearanceConfig, seed: int) -> ToneChoice:
@@ -119,17 +118,7 @@ SEARCH: tuple[Step[ToneChoice], ...] = (
 
 
 def choose_tone_curve(
-    scene: Scene, config: AppearanceConfig, seed: int, course: Course
+    scene: Scene, config: AppearanceConfig, seed: int, pipeline: Pipeline
 ) -> ToneChoice:
-    """Score every family that the histogram allows, as the photographs are and re-toned.
-
-    Args:
-        scene: Samples with their transport.
-        config: Families and sizes.
-        seed: Of the search.
-        course: Of the stage's steps.
-
-    Returns:
-        Candidates and evidence.
-    """
-    return course.carry_out(SEARCH, ToneChoice.of(scene, config, seed))
+    """Score every family that the histogram allows."""
+    return pipeline.run(SEARCH, ToneChoice.of(scene, config, seed))

@@ -22,15 +22,7 @@ _NUM_ASKED = 20000  # observations that are asked
 
 
 def share_beyond(curve: AbstractToneCurve, observations: Observations) -> float:
-    """Share of the observations whose colour no light gives under a curve.
-
-    Args:
-        curve: The tone curve.
-        observations: What photographs show; clipped codes, which may stand for anything, aside.
-
-    Returns:
-        0..1.
-    """
+    """Share of the unclipped observations, 0..1, whose colour no light gives under a curve."""
     if not curve.mixes_channels:
         return 0.0
     shown = (observations.weight > 0) & ~observations.clipped.any(2)

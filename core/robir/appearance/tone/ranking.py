@@ -1,12 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tone curves ranked by albedo that is carried between neighbours in different light.
 
-The fit's own loss cannot choose: a compressive curve shrinks every contrast it is judged by. What
-can is prediction in display space: take a sample's albedo to a neighbour that receives another
-irradiance, and compare the predicted display colour with the photographed one. Only under the true
-curve does a shadow darken bright and dark materials by the same factor. Pairs count by how much
-their irradiances differ and by how alike their albedos are, on average over all curves: a border
-of two materials says nothing, and all curves must be judged by the same pairs.
+The fit's own loss cannot choose, as a compressive curve shrinks every contrast. So a sample's
+albedo is taken to a neighbour of another irradiance, and its display colour is predicted: only
+under the true curve does a shadow darken bright and dark materials by one factor. Pairs count by
+how much their irradiances differ and how alike their albedos are, on average over all curves.
 """
 
 from __future__ import annotations
@@ -16,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from robir.appearance.blocks import Table, difference_error, mean_of, table_of
 from robir.appearance.config import AppearanceConfig
@@ -49,7 +48,7 @@ CODE_ERROR = 0.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Candidate:
+class CurveCandidate:
     """A tone curve with its score.
 
     Attributes:
@@ -67,7 +66,7 @@ class Candidate:
     problem: Problem
 
 
-def pair_errors(problem: Problem, light: Light) -> tuple[torch.Tensor, torch.Tensor]:
+def pair_errors(problem: Problem, light: Light) -> tuple[Tensor, Tensor]:
     """Display error and weight of every ordered pair, (2 P,) each."""
     scene = problem.scene
     irradiance = light.irradiance(problem, scene.rows)
@@ -85,7 +84,7 @@ def pair_errors(problem: Problem, light: Light) -> tuple[torch.Tensor, torch.Ten
     return error.clamp(max=_ERROR_CAP).mean(1), weight
 
 
-def pair_likeness(problem: Problem, light: Light) -> torch.Tensor:
+def pair_likeness(problem: Problem, light: Light) -> Tensor:
     """How alike the albedos of every ordered pair are, 0..1, (2 P,)."""
     scene = problem.scene
     radiance = problem.rows_radiance(scene.rows)
@@ -95,22 +94,18 @@ def pair_likeness(problem: Problem, light: Light) -> torch.Tensor:
 
 
 def error_tables(models: list[tuple[Problem, Light]]) -> list[Table]:
-    """Display errors, 0..1, of carried albedo by blocks of the surface, under each curve.
-
-    Args:
-        models: One scene under every curve, and the light under each.
-    """
-    judged = side_by_side(lambda model: pair_errors(*model), models)
-    contrast = torch.stack([weight for _, weight in judged]).mean(0)
+    """Display errors, 0..1, of carried albedo by blocks of the surface, a model each."""
+    scored = side_by_side(lambda model: pair_errors(*model), models)
+    contrast = torch.stack([weight for _, weight in scored]).mean(0)
     likeness = torch.stack(side_by_side(lambda model: pair_likeness(*model), models)).mean(0)
     weight = (contrast * likeness).double().numpy()
     blocks: NDArray[np.int64] = blocks_of(models[0][0].scene)
-    return [table_of(blocks, error.double().numpy(), weight) for error, _ in judged]
+    return [table_of(blocks, error.double().numpy(), weight) for error, _ in scored]
 
 
 def ranked(
     scene: Scene, curves: list[AbstractToneCurve], found: Light, config: AppearanceConfig
-) -> list[Candidate]:
+) -> list[CurveCandidate]:
     """The curves with their scores under the suns found, the chosen one first."""
 
     def solved(curve: AbstractToneCurve) -> tuple[Problem, Light]:
@@ -125,7 +120,7 @@ def ranked(
     else:
         chosen = simplest_near_best(tables, names)
     candidates = [
-        Candidate(
+        CurveCandidate(
             curve=curve,
             score=255 * mean_of(table),
             standard_error=0.0 if index == chosen else _lag(table, tables[chosen])[1],
@@ -143,12 +138,8 @@ def ranked(
 def simplest_near_best(tables: list[Table], names: list[str]) -> int:
     """Number of the simplest curve within `SIMPLER_MARGIN` of the lowest error.
 
-    A camera's response is none of them, where there are others. The plain curve comes last: what is
-    no camera is a renderer, and most of these roll off.
-
-    Args:
-        tables: Display errors under each curve, 0..1.
-        names: Of the curves, simplest first.
+    `names` are simplest first. A camera's response is none of them, where there are others; the
+    plain curve comes last, as most renderers roll off.
     """
     best = _best(tables, names)
     order = sorted(range(len(names)), key=lambda number: names[number] == PLAIN)
@@ -157,13 +148,7 @@ def simplest_near_best(tables: list[Table], names: list[str]) -> int:
 
 
 def camera_lags(tables: list[Table], names: list[str], origin: str) -> bool:
-    """Whether a camera's response lags the best of the others by more than its margin.
-
-    Args:
-        tables: Display errors under each curve, 0..1.
-        names: Of the curves.
-        origin: Where the photographs are from, as in the configuration.
-    """
+    """Whether a camera's response lags the best of the others by more than `origin` allows."""
     camera, best = names.index(CAMERA), _best(tables, names)
     return camera != best and _lags(tables, camera, best, _CAMERA_LAG[origin])
 
@@ -177,8 +162,7 @@ def _camera_holds(
     """Whether the response of cameras is kept.
 
     A curve of more contrast starts farther from its light. So where it lags at all, its light and
-    that of the best are settled by further steps first: a lag of 2 then was 3.5 for a rendering
-    through Filmic, and one of 3.5 was 2.2 for a photograph.
+    that of the best are settled by further steps first.
     """
     camera, best = names.index(CAMERA), _best(tables, names)
     if not np.isfinite(_CAMERA_LAG[config.origin]) or not _lags(tables, camera, best):
@@ -210,3 +194,31 @@ def _lag(table: Table, other: Table) -> tuple[float, float]:
     """By how many codes the first error is the greater, and the standard error of that."""
     error = float(np.hypot(CODE_ERROR, 255 * difference_error(table, other)))
     return 255 * (mean_of(table) - mean_of(other)), error
+
+
+def fits_alike(chosen: CurveCandidate, other: CurveCandidate) -> bool:
+    """Whether the photographs do not tell another curve from the chosen one."""
+    return other.score - chosen.score <= SIMPLER_MARGIN * other.standard_error
+
+
+def albedo_apart(chosen: CurveCandidate, other: CurveCandidate) -> float | None:
+    """PSNR in dB of the albedo under one curve against that under another, one scale a channel.
+
+    Of the unclipped samples of the light solve, under each curve's light; None without such.
+    """
+    (first, is_whole), (second, is_whole_too) = _albedo(chosen), _albedo(other)
+    whole = is_whole & is_whole_too
+    if not whole.any():
+        return None
+    first, second = first[whole], second[whole]
+    scale = (first * second).sum(0) / (second * second).sum(0).clamp(min=1e-12)
+    squared = float(((first - scale * second) ** 2).mean())
+    return float(-10 * np.log10(max(squared, 1e-10)))
+
+
+def _albedo(candidate: CurveCandidate) -> tuple[Tensor, Tensor]:
+    """Albedo (U, 3), at most 1, and where no channel is clipped, (U,)."""
+    problem, rows = candidate.problem, candidate.problem.scene.rows
+    radiance = problem.rows_radiance(rows)
+    albedo = log_ratio(radiance.linear, candidate.light.irradiance(problem, rows)).exp()
+    return albedo.clamp(max=1.0), ~radiance.clipped.any(1)

@@ -1,9 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What evidence tells of the light as a whole: its hue and its level.
-
-A light's strengths are estimates; what is told of them is evidence, with its error, and weighs in a
-solve by that.
-"""
+"""Prior of the light as a whole: its hue and its level, each with its error."""
 
 from __future__ import annotations
 
@@ -14,13 +10,13 @@ from torch import Tensor
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Told:
+class LightPrior:
     """Of the mean irradiance that sky and suns send to the samples that take part.
 
     Attributes:
-        hue: (3,) of its logarithm, less the mean over the channels; None if nothing tells it.
+        hue: (3,) of its logarithm, less the mean over the channels; None if not known.
         hue_error: One standard deviation of each channel of that.
-        level: Mean over the channels of its logarithm; None if nothing tells it.
+        level: Mean over the channels of its logarithm; None if not known.
         level_error: One standard deviation of that.
     """
 
@@ -49,4 +45,4 @@ class Told:
         return self.level - sent.mean()
 
 
-NOTHING_TOLD = Told()
+NO_PRIOR = LightPrior()

@@ -9,22 +9,22 @@ import numpy as np
 import pytest
 from appearance.texture.test_albedo import PAINTS, lit_floor
 
-from robir.appearance.last_word import Asset, Jury, heard
+from robir.appearance.photograph_check import Asset, PhotographCheck, check_asset
 from robir.appearance.texture.albedo import texel_albedo
-from robir.steps import Course
+from robir.steps import Pipeline
 
 
 @pytest.fixture(scope="module")
 def floor():
     """A matt floor of two materials, read right; the jury that photographed it, and its reader."""
-    problem, light, texels, views, gloss, tracer = lit_floor(PAINTS, lambda at: at[:, 1] > 0)
-    gloss = replace(gloss, has_highlights=False)
+    problem, light, texels, views, specular, tracer = lit_floor(PAINTS, lambda at: at[:, 1] > 0)
+    specular = replace(specular, has_highlights=False)
 
     def read(material):
-        return texel_albedo((problem, light, material), texels, views, tracer, Course())
+        return texel_albedo((problem, light, material), texels, views, tracer, Pipeline())
 
-    asset = Asset(problem=problem, light=light, gloss=gloss, values=read(gloss))
-    return asset, Jury(problem, texels, views, tracer), read, texels
+    asset = Asset(problem=problem, light=light, specular=specular, values=read(specular))
+    return asset, PhotographCheck(problem, texels, views, tracer), read, texels
 
 
 def seen_half(floor):
@@ -33,8 +33,8 @@ def seen_half(floor):
 
 
 def test_nothing_is_taken_back_from_what_is_right(floor):
-    asset, jury, read, texels = floor
-    word = heard(jury, asset, read, texels)
+    asset, check, read, texels = floor
+    word = check_asset(check, asset, read, texels)
     assert word.asset is asset
     assert word.taken_back == {"metal": 0.0, "specular": 0.0, "smoothing": 0.0}
     assert word.unexplained == 0.0 and word.worst < 0.5
@@ -42,18 +42,18 @@ def test_nothing_is_taken_back_from_what_is_right(floor):
 
 
 def test_metal_that_photographs_do_not_show_becomes_a_dielectric(floor):
-    asset, jury, read, texels = floor
+    asset, check, read, texels = floor
     surfels = asset.problem.scene.transport.surfels
     half = surfels.position[:, 1] > 0
-    gloss = replace(
-        asset.gloss,
+    specular = replace(
+        asset.specular,
         metallic=half.astype(np.float32),
-        roughness=np.where(half, np.float32(0.3), asset.gloss.roughness),
-        metal=np.full_like(asset.gloss.metal, 0.9),
+        roughness=np.where(half, np.float32(0.3), asset.specular.roughness),
+        metal=np.full_like(asset.specular.metal, 0.9),
     )
-    wrong = replace(asset, gloss=gloss, values=read(gloss))
-    assert jury.loss(wrong).beyond(3.0).mean() > 0.2
-    word = heard(jury, wrong, read, texels)
+    wrong = replace(asset, specular=specular, values=read(specular))
+    assert check.loss(wrong).beyond(3.0).mean() > 0.2
+    word = check_asset(check, wrong, read, texels)
     assert word.taken_back["metal"] > 0.2
     assert word.unexplained == 0.0
     inner = seen_half(floor)
@@ -63,11 +63,11 @@ def test_metal_that_photographs_do_not_show_becomes_a_dielectric(floor):
 
 
 def test_a_texture_that_was_smoothed_away_comes_back(floor):
-    asset, jury, read, texels = floor
+    asset, check, read, texels = floor
     patch = (np.abs(texels.position[:, 0]) < 0.3) & (texels.position[:, 1] < -0.1)
     albedo = np.where(patch[:, None], 0.4 * asset.values.albedo, asset.values.albedo)
     wrong = replace(asset, values=replace(asset.values, albedo=albedo.astype(np.float32)))
-    word = heard(jury, wrong, read, texels)
+    word = check_asset(check, wrong, read, texels)
     assert word.taken_back["smoothing"] > 0.05 and word.taken_back["metal"] == 0
     middle = patch & (np.abs(texels.position[:, 0]) < 0.15) & (texels.position[:, 1] < -0.25)
     np.testing.assert_allclose(
@@ -76,12 +76,12 @@ def test_a_texture_that_was_smoothed_away_comes_back(floor):
 
 
 def test_what_nothing_explains_is_reported(floor):
-    asset, jury, read, texels = floor
+    asset, check, read, texels = floor
     patch = texels.position[:, 1] < -0.1
     albedo = np.where(patch[:, None], 0.4 * asset.values.albedo, asset.values.albedo)
     albedo = albedo.astype(np.float32)
     wrong = replace(asset, values=replace(asset.values, albedo=albedo, read=albedo))
-    word = heard(jury, wrong, read, texels)
+    word = check_asset(check, wrong, read, texels)
     assert word.unexplained > 0.2 and word.worst > 3.0
     assert "still is" in word.choice.why
     assert word.plain["unexplained"] == word.unexplained

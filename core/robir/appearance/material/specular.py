@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Roughness and metal, and the specular light that albedo must not keep.
 
-A dielectric reflects with F0 = 0.04 on top of its diffuse light; a metal has no diffuse light and
-reflects with its base colour. Both are predicted for every view at several roughnesses. What is
-metal is judged by the neighbourhood of each sample, near it and of like colour: its views differ
-more than any dielectric's may. Roughness is judged over patches of samples alike in albedo and
-place, see roughness.py: one of them sees a highlight in a few views at most.
+A dielectric reflects with F0 = 0.04 on top of its diffuse light; a metal has none and reflects with
+its base colour. Both are predicted for every view at several roughnesses. Metal is classified by
+neighbourhoods, roughness by patches alike in albedo and place, as one sample sees a highlight in
+few views (roughness.py).
 """
 
 from __future__ import annotations
@@ -22,11 +21,11 @@ from torch import Tensor
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
 from robir.appearance.material.highlights import LEVELS, UNKNOWN, Highlights
-from robir.appearance.material.metal import metal_among, near
-from robir.appearance.material.metal_proof import proven_parts
+from robir.appearance.material.metal import find_metal, near
+from robir.appearance.material.metal_proof import tested_parts
 from robir.appearance.material.observed import (
     LEAST_DIFFUSE,
-    Seen,
+    ObservedRays,
     dense,
     diffuse_below,
     looked_at,
@@ -39,9 +38,9 @@ from robir.appearance.material.reflections import (
     reflected_share,
     view_rays,
 )
-from robir.appearance.material.roughness import Patches, choose_roughness
+from robir.appearance.material.roughness import RoughnessPatches, choose_roughness
 from robir.appearance.material.segments import clusters, means
-from robir.appearance.material.trial import Trial
+from robir.appearance.material.trial import MaterialTrial
 from robir.appearance.photometry.statistics import texture_weights
 from robir.jobs.choice import Choice
 from robir.workers import side_by_side
@@ -54,7 +53,7 @@ Reals = NDArray[np.floating[Any]]
 _NORMAL_SCALE = 0.06
 # the same of a difference of one in the logarithm of albedo, as of paint: a small part of metal is
 # judged with itself, not with the paint about it
-_PAINT_SCALE = 0.05
+_ALBEDO_SCALE = 0.05
 _SPREAD_SCALE = 1.5  # difference of log albedo that one of the deviation of views counts as
 # roughness of the sky's reflection beside sharper highlights: what a sharper one would show of the
 # sky and of the surroundings, their errors and the mesh's displace
@@ -63,7 +62,7 @@ _LEVELS_TOGETHER = 4  # roughnesses tried at a time at most: each holds all obse
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Gloss:
+class SpecularMaterial:
     """Specular material of all samples.
 
     Attributes:
@@ -73,8 +72,8 @@ class Gloss:
             scene has none.
         floor: (S, 3) float32, specular radiance in the mean of the views.
         kept: (S, 1) float32, share of the diffuse light that the specular layer lets through there.
-        has_highlights: Whether anything but metal has a specular layer.
-        table: One dictionary per patch of paint and per metal part.
+        has_highlights: Whether dielectrics have a specular layer.
+        table: One dictionary per dielectric patch and per metal part.
         choices: What was chosen against what, for the report.
     """
 
@@ -88,27 +87,24 @@ class Gloss:
     choices: tuple[Choice, ...]
 
     def solved_by(self, rows: NDArray[np.int64], least_share: float) -> NDArray[np.int64]:
-        """Those of some samples by which the light is solved: paint, where there is enough."""
-        paint = rows[self.is_paint[rows]]
-        return paint if len(paint) >= least_share * len(rows) else rows
+        """Of some samples those that the light is solved by: dielectrics if there are enough."""
+        dielectric = rows[self.is_dielectric[rows]]
+        return dielectric if len(dielectric) >= least_share * len(rows) else rows
 
     @property
-    def is_paint(self) -> NDArray[np.bool_]:
-        """(S,) bool, what is no metal."""
+    def is_dielectric(self) -> NDArray[np.bool_]:
+        """(S,) bool."""
         return self.metallic < 0.5
 
 
 def specular_towards(
-    problem: Problem, light: Light, gloss: Gloss, sample: NDArray[np.int64], view_dir: Floats
+    problem: Problem,
+    light: Light,
+    specular: SpecularMaterial,
+    sample: NDArray[np.int64],
+    view_dir: Floats,
 ) -> tuple[Floats, Floats, Floats]:
-    """Specular radiance of samples towards any direction.
-
-    Args:
-        problem: Scene under a tone curve.
-        light: Solved light.
-        gloss: Specular material of the samples.
-        sample: (N,) sample of each direction.
-        view_dir: (N, 3) unit, away from the surface.
+    """Specular radiance of samples (N,) towards directions (N, 3), unit, away from the surface.
 
     Returns:
         For a dielectric (N, 3), per unit of base colour of a metal (N, 3), and the share (N, 1) of
@@ -118,7 +114,7 @@ def specular_towards(
     kept = np.ones((len(sample), 1), np.float32)
     directions = problem.scene.transport.visibility.directions
     order = np.argsort(sample, kind="stable")
-    levels = gloss.roughness[sample[order]]
+    levels = specular.roughness[sample[order]]
     for roughness in np.unique(levels):
         chosen = order[levels == roughness]
         rows, local = np.unique(sample[chosen], return_inverse=True)
@@ -128,17 +124,16 @@ def specular_towards(
         both = reflections.radiance(rays, float(roughness))
         result[:, chosen] = both.numpy().transpose(1, 0, 2)
         kept[chosen] = 1 - reflected_share(rays, float(roughness))[:, None].numpy()
-    if not gloss.has_highlights:
+    if not specular.has_highlights:
         result[0], kept[:] = 0, 1
     return result[0], result[1], kept
 
 
-def _costs(looked: tuple[Reflections, ViewRays, Seen, Tensor]) -> tuple[Highlights, Floats]:
+def _costs(looked: tuple[Reflections, ViewRays, ObservedRays, Tensor]) -> tuple[Highlights, Floats]:
     """Errors of a dielectric near highlights and elsewhere, and their mean (U, L) over all views.
 
-    Only views near a sun's mirror direction speak about the roughness of a dielectric; elsewhere a
-    rougher surface merely hides errors of the sky and of the mesh, and would always win. There the
-    sky is reflected as by the surface itself, but no sharper than `SHARPEST_SKY`.
+    Only views near a sun's mirror direction speak about roughness; elsewhere a rougher surface
+    merely hides errors of sky and mesh. There the sky is reflected no sharper than `SHARPEST_SKY`.
     """
     reflections, rays, seen, valid = looked
     sample = rays.sample
@@ -193,22 +188,15 @@ def _costs(looked: tuple[Reflections, ViewRays, Seen, Tensor]) -> tuple[Highligh
     return highlights, (dielectric / views).numpy()
 
 
-def estimate_gloss(
+def estimate_specular(
     problem: Problem,
     light: Light,
     num_materials: int,
     seed: int,
-) -> tuple[Gloss, Tensor]:
-    """Roughness and metal of every sample.
+) -> tuple[SpecularMaterial, Tensor]:
+    """Specular material of every sample, and the diffuse radiance (S, V, 3) of every observation.
 
-    Args:
-        problem: Scene under the chosen tone curve.
-        light: Solved light.
-        num_materials: How many patches of paint have a roughness each.
-        seed: Of the clustering.
-
-    Returns:
-        The gloss and the diffuse radiance (S, V, 3) of every observation.
+    `num_materials` patches of dielectrics have a roughness each; `seed` is of the clustering.
     """
     surfels = problem.scene.transport.surfels
     seen = np.flatnonzero(problem.radiance.seen.numpy())
@@ -216,30 +204,30 @@ def estimate_gloss(
     rows = seen[in_solve]
     looked = looked_at(problem, light, rows)
     highlights, dielectric = _costs(looked)
-    trial = Trial(reflections=looked[0], rays=looked[1], seen=looked[2])
+    trial = MaterialTrial(reflections=looked[0], rays=looked[1], seen=looked[2])
     features = _features(problem, light, seen)
     points, hue = _alike(problem, seen, features[:, :3])
     alike = points[in_solve], hue[in_solve]
-    parts = metal_among((problem, light), rows, alike, trial, dielectric)
-    parts, metal_choice = proven_parts(parts, trial, dielectric)
+    parts = find_metal((problem, light), rows, alike, trial, dielectric)
+    parts, metal_choice = tested_parts(parts, trial, dielectric)
     is_metal = parts.part >= 0
     # the samples that took part speak for their neighbours
     part = parts.part[near(points[in_solve], points, 1)[:, 0]]
     cluster = clusters(features, num_materials, seed)
-    patches = Patches(features=means(features, cluster), number=cluster[in_solve])
+    patches = RoughnessPatches(features=means(features, cluster), number=cluster[in_solve])
     choice = choose_roughness(highlights, patches, trial, ~is_metal)
     level = choice.roughness[cluster]
     level[part >= 0] = parts.roughness[part[part >= 0]]
     metallic = (part >= 0).astype(np.float64)
     shown = choice.has_highlights
-    gloss, diffuse = _apply((problem, light), seen, level, metallic, shown)
+    layers, diffuse = _apply((problem, light), seen, level, metallic, shown)
     metal = np.zeros((len(surfels), 3), np.float32)
     if is_metal.any():
         nearest = cKDTree(surfels.position[rows[is_metal]]).query(surfels.position)[1]
         metal = parts.base[parts.part[is_metal][nearest]]
     return (
-        Gloss(
-            **gloss,
+        SpecularMaterial(
+            **layers,
             metal=metal,
             has_highlights=shown,
             table=_table((choice.roughness, cluster), (parts.roughness, part)),
@@ -249,65 +237,47 @@ def estimate_gloss(
     )
 
 
-def retold(
+def with_material(
     problem: Problem,
     light: Light,
-    gloss: Gloss,
+    specular: SpecularMaterial,
     samples: NDArray[np.bool_],
     material: tuple[Floats, Floats],
-) -> tuple[Gloss, Tensor]:
-    """The same with another material on some samples.
+) -> tuple[SpecularMaterial, Tensor]:
+    """The same with another roughness and metal, (S,) each, on some `samples` (S,) bool.
 
-    Args:
-        problem: Scene under the chosen tone curve.
-        light: Its light.
-        gloss: Specular material of all samples.
-        samples: (S,) those that change.
-        material: Roughness and metal (S,) that they take; anything elsewhere.
-
-    Returns:
-        The material, and the diffuse radiance (S, V, 3) of the samples that changed; of the others
-        it is what is seen.
+    Also the diffuse radiance (S, V, 3) of these; of the others it is what is seen.
     """
     rows = np.flatnonzero(samples & problem.radiance.seen.numpy())
     level, metal = (values[rows].astype(np.float64) for values in material)
-    told, diffuse = _apply((problem, light), rows, level, metal, gloss.has_highlights)
+    layers, diffuse = _apply((problem, light), rows, level, metal, specular.has_highlights)
     changed = {
-        name: np.where(samples.reshape(-1, *[1] * (values.ndim - 1)), values, getattr(gloss, name))
+        name: np.where(
+            samples.reshape(-1, *[1] * (values.ndim - 1)), values, getattr(specular, name)
+        )
         for name, values in {
             "roughness": material[0].astype(np.float32),
             "metallic": material[1].astype(np.float32),
-            "floor": told["floor"],
-            "kept": told["kept"],
+            "floor": layers["floor"],
+            "kept": layers["kept"],
         }.items()
     }
-    return replace(gloss, **changed), diffuse
+    return replace(specular, **changed), diffuse
 
 
-def _alike(problem: Problem, seen: NDArray[np.int64], paint: Floats) -> tuple[Floats, Floats]:
-    """Points (N, 9) that lie close together where samples are judged together, and hues (N, 3).
-
-    Args:
-        problem: The scene.
-        seen: (N,) samples.
-        paint: (N, 3) log albedo, as of paint.
-    """
+def _alike(problem: Problem, seen: NDArray[np.int64], log_albedo: Floats) -> tuple[Floats, Floats]:
+    """Points (N, 9), close where samples are classified together, and hues (N, 3)."""
     surfels = problem.scene.transport.surfels
     normal = _NORMAL_SCALE * surfels.normal[seen]
-    points = np.concatenate([surfels.position[seen], normal, _PAINT_SCALE * paint], axis=1)
-    return points, paint - paint.mean(1, keepdims=True)
+    points = np.concatenate([surfels.position[seen], normal, _ALBEDO_SCALE * log_albedo], axis=1)
+    return points, log_albedo - log_albedo.mean(1, keepdims=True)
 
 
 def _table(
-    paints: tuple[Reals, NDArray[np.int64]], metals: tuple[Reals, NDArray[np.int64]]
+    dielectrics: tuple[Reals, NDArray[np.int64]], metals: tuple[Reals, NDArray[np.int64]]
 ) -> tuple[dict[str, float], ...]:
-    """Roughness and share of the samples (N,) of each patch of paint and part of metal.
-
-    Args:
-        paints: Roughness of the patches, and each sample's.
-        metals: The same of the parts, -1 where a sample is paint.
-    """
-    (patches, patch), (parts, part) = paints, metals
+    """Roughness and share of the samples (N,) of each patch and part (-1 if none)."""
+    (patches, patch), (parts, part) = dielectrics, metals
     kinds = [(float(value), 0.0, (patch == k) & (part < 0)) for k, value in enumerate(patches)]
     kinds += [(float(value), 1.0, part == k) for k, value in enumerate(parts)]
     return tuple(
@@ -338,10 +308,7 @@ def _apply(
     metal: NDArray[np.float64],
     has_highlights: bool,
 ) -> tuple[dict[str, Floats], Tensor]:
-    """Diffuse radiance of all observations, each sample with its own roughness.
-
-    Without highlights it is all there is; that of metal is left as it is seen.
-    """
+    """Layers of all samples, and the diffuse radiance of observations, metal's as seen."""
     (problem, light), scene = solved, solved[0].scene
     observations, surfels = scene.transport.observations, scene.transport.surfels
     num = len(surfels)

@@ -8,11 +8,11 @@ import pytest
 import torch
 from appearance import synthetic
 
+from robir.appearance.held_out_test import EVERY, HeldOutTest
 from robir.appearance.light.problem import make_problem
 from robir.appearance.material.observed import looked_at
-from robir.appearance.material.trial import Trial
+from robir.appearance.material.trial import MaterialTrial
 from robir.appearance.photometry.statistics import display_mean
-from robir.appearance.proof import EVERY, Proof
 from robir.maths.tone import curve_from_name
 
 PAINT = synthetic.Material(np.float32([0.4, 0.3, 0.2]), 0.9, specular=0.0)
@@ -23,18 +23,18 @@ def test_of_two_means_the_error_is_that_of_their_difference():
     """Views differ by ten times the gain, but both models err alike in each."""
     view = np.repeat(np.arange(10), 5)
     plain = 1.0 + view
-    proof = Proof.of(plain, plain - 0.1, (view,))
-    assert proof.gain == pytest.approx(0.1)
-    assert proof.error == pytest.approx(0, abs=1e-12)
-    assert proof.is_given
-    assert proof.plain == pytest.approx(255 * 5.5**0.5)
+    test = HeldOutTest.of(plain, plain - 0.1, (view,))
+    assert test.gain == pytest.approx(0.1)
+    assert test.error == pytest.approx(0, abs=1e-12)
+    assert test.is_passed
+    assert test.plain == pytest.approx(255 * 5.5**0.5)
 
 
 def test_a_gain_of_chance_is_no_proof():
     rng = np.random.default_rng(0)
     view = np.repeat(np.arange(12), 200)
     given = [
-        Proof.of(0 * view + 9.0, 9 + rng.standard_normal(12)[view], (view,)).is_given
+        HeldOutTest.of(0 * view + 9.0, 9 + rng.standard_normal(12)[view], (view,)).is_passed
         for _ in range(400)
     ]
     # one normal deviate in six exceeds one standard error
@@ -44,10 +44,10 @@ def test_a_gain_of_chance_is_no_proof():
 def test_one_view_and_one_place_prove_nothing():
     ones = np.ones(50)
     several = np.arange(50) % 5
-    assert not Proof.of(ones, 0 * ones, (np.zeros(50, int),)).is_given
-    assert not Proof.of(ones, 0 * ones, (several, np.zeros(50, int))).is_given
-    assert Proof.of(ones, 0 * ones, (several, several)).is_given
-    assert not Proof.of(ones[:0], ones[:0], (several[:0],)).is_given
+    assert not HeldOutTest.of(ones, 0 * ones, (np.zeros(50, int),)).is_passed
+    assert not HeldOutTest.of(ones, 0 * ones, (several, np.zeros(50, int))).is_passed
+    assert HeldOutTest.of(ones, 0 * ones, (several, several)).is_passed
+    assert not HeldOutTest.of(ones[:0], ones[:0], (several[:0],)).is_passed
 
 
 @pytest.mark.parametrize("family", ["standard", "filmic", "agx"])
@@ -79,7 +79,7 @@ def trials():
         problem = make_problem(scene, curve)
         rows = np.flatnonzero(problem.radiance.seen.numpy())
         reflections, rays, seen, _ = looked_at(problem, light, rows)
-        trial = Trial(reflections=reflections, rays=rays, seen=seen)
+        trial = MaterialTrial(reflections=reflections, rays=rays, seen=seen)
         found.append((trial, len(rows)))
     return found
 
@@ -88,9 +88,11 @@ def test_a_specular_layer_is_proven_where_there_is_one(trials):
     for (trial, count), is_glossy in zip(trials, (False, True), strict=True):
         rays = trial.rays_of(np.ones(count, bool))
         level = np.full(count, GLOSS.roughness)
-        proof = trial.proof(rays, trial.paint_errors(rays, None), trial.paint_errors(rays, level))
-        assert proof.is_given == is_glossy
-        assert proof.is_open == is_glossy
+        test = trial.compare(
+            rays, trial.dielectric_errors(rays, None), trial.dielectric_errors(rays, level)
+        )
+        assert test.is_passed == is_glossy
+        assert test.is_not_worse == is_glossy
 
 
 def test_no_view_takes_part_in_its_own_prediction(trials):
@@ -99,11 +101,11 @@ def test_no_view_takes_part_in_its_own_prediction(trials):
     rays = trial.rays_of(np.arange(count) == 5)
     seen = trial.seen.of(rays)
     fold = trial.rays.of(rays).view % EVERY
-    before = trial.paint_errors(rays, None)
+    before = trial.dielectric_errors(rays, None)
     linear = seen.linear.clone()
     linear[torch.from_numpy(fold == fold[0])] *= 1.5
     trial.seen.linear[rays] = linear
-    after = trial.paint_errors(rays, None)
+    after = trial.dielectric_errors(rays, None)
     trial.seen.linear[rays] = seen.linear
     np.testing.assert_allclose(after[fold == fold[0]], before[fold == fold[0]], atol=1e-9)
     assert (np.abs(after - before) > 1e-6)[fold != fold[0]].all()

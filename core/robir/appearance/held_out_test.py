@@ -1,12 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The one proof by which anything enters the model that plain paint in plain light does not need.
+"""The held-out test by which anything enters the model beside diffuse material in plain light.
 
-Some of the training views take no part in the fit of a candidate, or each view's part in what is
-predicted of it is left out. A candidate is proven where it predicts photographs so better than the
-plainer model does, by more than one standard error. Errors are squared differences of display
-codes, the unit in which results are judged, and are compared in pairs: photographs differ in what
-they show, but both models are asked about the same, so the difference is averaged over views, or
-whatever else errs together.
+Views, or each view's part in its own prediction, are held out. A candidate enters if it predicts
+them better than the plainer model by more than one standard error. Errors are squared differences
+of display codes, compared in pairs and averaged over views or whatever errs together.
 """
 
 from __future__ import annotations
@@ -26,8 +23,8 @@ EVERY = 5  # one view in so many takes no part in a fit
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Proof:
-    """By how much a candidate predicts photographs better that it was not fitted to.
+class HeldOutTest:
+    """By how much a candidate predicts held-out photographs better.
 
     Attributes:
         plain: Root mean square error of the plainer model, display codes.
@@ -42,12 +39,12 @@ class Proof:
     error: float
 
     @property
-    def is_given(self) -> bool:
+    def is_passed(self) -> bool:
         """Whether the candidate enters the model."""
         return self.gain > self.error
 
     @property
-    def is_open(self) -> bool:
+    def is_not_worse(self) -> bool:
         """Whether the contrary is not proven."""
         return self.gain > -self.error
 
@@ -62,13 +59,10 @@ class Proof:
         )
 
     @classmethod
-    def of(cls, plain: Floats, rich: Floats, groupings: tuple[Rows, ...]) -> Proof:
-        """From errors of both models at the same observations.
+    def of(cls, plain: Floats, rich: Floats, groupings: tuple[Rows, ...]) -> HeldOutTest:
+        """By squared display errors (M,), 0..1, of both models at the same observations.
 
-        Args:
-            plain: (M,) squared display errors, codes in 0..1, of the plainer model.
-            rich: (M,) of the candidate.
-            groupings: Numbers (M,) of what errs together, such as views and blocks.
+        `groupings` are numbers (M,) of what errs together, such as views and blocks.
         """
         ones = np.ones(len(plain))
         error, means = float("inf"), (0.0, 0.0)
@@ -81,9 +75,5 @@ class Proof:
 
 
 def fitted_views(count: int) -> NDArray[np.bool_]:
-    """Which of the views (count,) are fitted to; the others are kept for proofs.
-
-    Photographs are taken and rendered along paths or at random, so one in so many lies between
-    those that are fitted, in all directions.
-    """
+    """Which of the views (count,) are fitted to; the held-out ones lie between them."""
     return np.arange(count) % EVERY != EVERY // 2

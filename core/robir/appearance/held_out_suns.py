@@ -1,12 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether photographs disprove the suns that were found in them.
+"""Whether photographs speak against the suns that were found in them.
 
-A sun is searched among thousands of directions by the shadows it would cast, and a surface that is
-a percent off casts enough of its own for one of them to fit. So the light is solved once more by
-the sky alone, and two witnesses are asked which is nearer the truth: views, predicted from others,
-which know of highlights and nothing of shadows; and pairs of samples across the suns' shadows,
-whose albedos have no step in common if the shadows are there. What both say is added up as
-Stouffer's sum of independent tests (Stouffer et al. 1949, "The American Soldier" I).
+A surface that is a percent off casts shadows of its own, and one of thousands of directions fits
+those. So the light is solved once more by the sky alone. Two tests compare both: views predicted
+from others, and albedo across the suns' shadows. Their standard errors are added as Stouffer's sum
+of independent tests (Stouffer et al. 1949, "The American Soldier" I).
 """
 
 from __future__ import annotations
@@ -19,18 +17,18 @@ import torch
 from numpy.typing import NDArray
 
 from robir.appearance.blocks import block_numbers, mean_error, mean_of, table_of
+from robir.appearance.held_out_test import HeldOutTest
 from robir.appearance.light.lobes import log_ratio
 from robir.appearance.light.shade import LIGHT_ERROR, of_one_material
 from robir.appearance.light.solver import Light, refit
 from robir.appearance.light.sunlight import Sunlight
-from robir.appearance.material.trial import Trial
+from robir.appearance.material.trial import MaterialTrial
 from robir.appearance.photometry.statistics import Pairs
-from robir.appearance.proof import Proof
 from robir.appearance.solution import Solution, solve
 from robir.appearance.tone.choose import ToneChoice
 from robir.appearance.tone.ranking import CODE_ERROR
 from robir.jobs.choice import Choice
-from robir.steps import Course
+from robir.steps import Pipeline
 
 Reals = NDArray[np.floating[Any]]
 
@@ -42,30 +40,28 @@ _NUM_SAMPLES = 4000
 _MARGIN = -0.5
 
 
-def with_proven_suns(tone: ToneChoice, solution: Solution, sky: Light, course: Course) -> Solution:
+def with_tested_suns(
+    tone: ToneChoice, solution: Solution, sky: Light, pipeline: Pipeline
+) -> Solution:
     """The solution, or that under the sky alone where photographs speak against its suns.
 
-    Args:
-        tone: Curves, the taken one first.
-        solution: Light and material under that, with suns.
-        sky: Light under that without any.
-        course: Of the stage's steps.
+    `sky` is the light under the first curve of `tone` without suns.
     """
     number, config = len(solution.light.axes), solution.config
-    by_all = refit(solution.matte, sky, solution.told, config)
+    by_all = refit(solution.matte, sky, solution.prior, config)
     plain = replace(solution, light=replace(by_all, history=(sky.loss,)))
     views = lead_in_errors(compared(plain, solution), CODE_ERROR)
     shadows = lead_across_shadows(plain, solution)
     leads = (views + shadows) / np.sqrt(2)
-    is_proven, taken = leads > _MARGIN, solution
-    if not is_proven:
+    is_kept, taken = leads > _MARGIN, solution
+    if not is_kept:
         start = replace(sky, history=(sky.loss,))
         problem = tone.candidates[0].problem
-        taken = solve(problem, start, config, solution.seed, course)
+        taken = solve(problem, start, config, solution.seed, pipeline)
     choice = Choice(
         choice="suns",
-        chosen=number if is_proven else 0,
-        alternatives=(0 if is_proven else number,),
+        chosen=number if is_kept else 0,
+        alternatives=(0 if is_kept else number,),
         why=f"views predicted from others say {views:+.1f} standard errors for the suns that were "
         f"found, albedos across their shadows {shadows:+.1f}, together {leads:+.1f}; more than "
         f"{_MARGIN:g} are asked for",
@@ -74,18 +70,11 @@ def with_proven_suns(tone: ToneChoice, solution: Solution, sky: Light, course: C
 
 
 def lead_across_shadows(plain: Solution, rich: Solution) -> float:
-    """By how many standard errors the second model evens albedo across its suns' shadows.
+    """Standard errors by which the second model, with suns, evens albedo across their shadows.
 
-    Where a shadow is real and not known, what lies in it is darker than what is lit, by a step that
-    all pairs of one material have in common. The steps that both models leave are compared with
-    their errors: a likelihood ratio of normal variables.
-
-    Args:
-        plain: Light and material without the suns.
-        rich: With them.
-
-    Returns:
-        Positive for the second; 0 where its suns cast no shadow.
+    Across a real shadow that a model does not know, all pairs of one material have a common step.
+    The steps that both models leave are compared with their errors: a likelihood ratio of normal
+    variables. 0 where the suns cast no shadow.
     """
     problem, rows = rich.problem, rich.problem.scene.rows
     parts = Sunlight.of(problem, rich.light.axes).across_shadows()
@@ -108,31 +97,31 @@ def lead_across_shadows(plain: Solution, rich: Solution) -> float:
     return float(np.sign(gain) * np.sqrt(abs(gain)))
 
 
-def compared(plain: Solution, rich: Solution) -> Proof:
+def compared(plain: Solution, rich: Solution) -> HeldOutTest:
     """What views say of two models of one scene, each predicting them from others."""
     scene = plain.problem.scene
     rows = scene.rows[plain.problem.radiance.seen.numpy()[scene.rows]]
     rows = rows[:: -(-len(rows) // _NUM_SAMPLES) or 1]
     (before, views), (after, _) = (prediction_errors(model, rows) for model in (plain, rich))
-    return Proof.of(before, after, (views,))
+    return HeldOutTest.of(before, after, (views,))
 
 
 def prediction_errors(model: Solution, rows: NDArray[np.int64]) -> tuple[Reals, NDArray[np.int64]]:
     """Squared errors (M,) of views of samples (U,), predicted from others, and these views (M,).
 
-    All is paint here, also what is metal: proven or not, it is the same in both models.
+    Metal counts as dielectric here: it is the same in both models.
     """
-    trial = Trial.of(model.problem, model.light, rows)
+    trial = MaterialTrial.of(model.problem, model.light, rows)
     chosen = trial.rays_of(np.ones(len(rows), bool))
-    gloss = model.material
-    level = gloss.roughness[rows].astype(np.float64) if gloss.has_highlights else None
-    return trial.paint_errors(chosen, level), trial.rays.view[chosen.numpy()]
+    specular = model.material
+    level = specular.roughness[rows].astype(np.float64) if specular.has_highlights else None
+    return trial.dielectric_errors(chosen, level), trial.rays.view[chosen.numpy()]
 
 
-def lead_in_errors(proof: Proof, code_error: float) -> float:
+def lead_in_errors(test: HeldOutTest, code_error: float) -> float:
     """By how many standard errors the richer model leads; so many codes are added to each."""
-    if not np.isfinite(proof.error):
+    if not np.isfinite(test.error):
         return 0.0
     # squared errors to codes, about their mean
-    error = 255**2 * proof.error / max(proof.plain + proof.rich, 1e-9)
-    return (proof.plain - proof.rich) / float(np.hypot(error, code_error))
+    error = 255**2 * test.error / max(test.plain + test.rich, 1e-9)
+    return (test.plain - test.rich) / float(np.hypot(error, code_error))

@@ -8,7 +8,7 @@ import pytest
 from appearance import synthetic
 
 from robir.appearance.light.problem import make_problem
-from robir.appearance.material.gloss import estimate_gloss
+from robir.appearance.material.specular import estimate_specular
 from robir.appearance.photometry.statistics import texture_weights
 from robir.maths.tone import curve_from_name
 
@@ -31,15 +31,15 @@ def ball():
 
 def test_metal_and_plastic_are_told_apart(ball):
     problem, light, is_gold, radiance = ball
-    gloss, diffuse = estimate_gloss(problem, light, 4, 0)
+    specular, diffuse = estimate_specular(problem, light, 4, 0)
     seen = problem.radiance.seen.numpy()
-    metallic = gloss.metallic > 0.5
+    metallic = specular.metallic > 0.5
     # along the border neighbours of both kinds judge together
     assert (metallic == is_gold)[seen].mean() > 0.95
-    assert np.median(gloss.roughness[seen & is_gold]) == pytest.approx(GOLD.roughness, abs=0.08)
-    np.testing.assert_allclose(np.median(gloss.metal[seen & is_gold], 0), GOLD.base, atol=0.1)
+    assert np.median(specular.roughness[seen & is_gold]) == pytest.approx(GOLD.roughness, abs=0.08)
+    np.testing.assert_allclose(np.median(specular.metal[seen & is_gold], 0), GOLD.base, atol=0.1)
     plastic = seen & ~is_gold
-    assert np.median(gloss.roughness[plastic]) == pytest.approx(PLASTIC.roughness, abs=0.08)
+    assert np.median(specular.roughness[plastic]) == pytest.approx(PLASTIC.roughness, abs=0.08)
     # What is left of plastic without its highlights is Lambert's share, the same from everywhere.
     left = diffuse.numpy()[plastic]
     weight = problem.scene.transport.observations.weight[plastic] > 0
@@ -48,7 +48,7 @@ def test_metal_and_plastic_are_told_apart(ball):
     whole = np.where(weight[..., None], radiance[plastic], np.nan)
     before = np.nanstd(whole, axis=1) / np.nanmean(whole, axis=1)
     assert np.nanmedian(spread) < 0.25 * np.nanmedian(before)
-    assert sum(row["share"] for row in gloss.table) == pytest.approx(1)
+    assert sum(row["share"] for row in specular.table) == pytest.approx(1)
 
 
 def test_a_strip_of_metal_narrower_than_its_neighbourhoods_is_found():
@@ -60,7 +60,7 @@ def test_a_strip_of_metal_narrower_than_its_neighbourhoods_is_found():
     scene, _ = synthetic.ball(inside, light, curve, 2000)
     is_gold = abs(scene.transport.surfels.position[:, 1]) < STRIP
     problem = make_problem(scene, curve)
-    metallic = estimate_gloss(problem, light, 4, 0)[0].metallic > 0.5
+    metallic = estimate_specular(problem, light, 4, 0)[0].metallic > 0.5
     seen = problem.radiance.seen.numpy()
     # where hardly any light is mirrored nothing tells metal; by place alone half is found
     assert metallic[seen & is_gold].mean() > 0.6
@@ -73,7 +73,7 @@ def test_glossy_paint_that_touches_metal_is_no_part_of_it():
     halves = [(lambda at: at[:, 1] > 0.3, LACQUER), (lambda at: at[:, 1] <= 0.3, GOLD)]
     scene, _ = synthetic.ball(halves, light, curve)
     problem = make_problem(scene, curve)
-    metallic = estimate_gloss(problem, light, 4, 0)[0].metallic > 0.5
+    metallic = estimate_specular(problem, light, 4, 0)[0].metallic > 0.5
     seen = problem.radiance.seen.numpy()
     is_gold = scene.transport.surfels.position[:, 1] <= 0.3
     assert metallic[seen & is_gold].mean() > 0.9
@@ -82,13 +82,13 @@ def test_glossy_paint_that_touches_metal_is_no_part_of_it():
 
 def test_what_the_textures_subtract_is_what_their_views_show(ball):
     problem, light, is_gold, _ = ball
-    gloss, diffuse = estimate_gloss(problem, light, 4, 0)
+    specular, diffuse = estimate_specular(problem, light, 4, 0)
     transport = problem.scene.transport
-    plastic = problem.radiance.seen.numpy() & ~is_gold & (gloss.metallic < 0.5)
+    plastic = problem.radiance.seen.numpy() & ~is_gold & (specular.metallic < 0.5)
     seen_by = transport.observations.weight, transport.observations.positions
     share = texture_weights(seen_by, transport.surfels.position).numpy()[..., None]
     read = (problem.linear.numpy() * share).sum(1)
-    below = ((read - gloss.floor) / gloss.kept)[plastic]
+    below = ((read - specular.floor) / specular.kept)[plastic]
     # the same without highlights view by view
     expected = (diffuse.numpy() * share).sum(1)[plastic]
     np.testing.assert_allclose(np.median(below / expected, 0), 1, atol=0.01)

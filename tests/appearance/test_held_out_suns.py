@@ -11,16 +11,16 @@ import torch
 from appearance import synthetic
 
 from robir.appearance.config import AppearanceConfig
+from robir.appearance.held_out_suns import lead_in_errors, with_tested_suns
+from robir.appearance.held_out_test import HeldOutTest
 from robir.appearance.light.problem import make_problem
 from robir.appearance.light.solver import fit, no_suns
-from robir.appearance.proof import Proof
-from robir.appearance.proven_suns import lead_in_errors, with_proven_suns
 from robir.appearance.solution import solve
 from robir.appearance.tone import ranking
 from robir.appearance.tone.choose import ToneChoice
-from robir.appearance.tone.ranking import Candidate
+from robir.appearance.tone.ranking import CurveCandidate
 from robir.maths.tone import curve_from_name
-from robir.steps import Course
+from robir.steps import Pipeline
 
 CONFIG = AppearanceConfig(
     num_soft_lobes=synthetic.NUM_SOFT, num_scan_directions=600, iterations=90, num_materials=4
@@ -34,7 +34,7 @@ def tone_of(scene, names):
     for name in names:
         curve = curve_from_name(name)
         candidates.append(
-            Candidate(
+            CurveCandidate(
                 curve=curve,
                 score=1.0,
                 standard_error=0.1,
@@ -56,16 +56,18 @@ def proven(scene, light, false_sun=0.0, without=()):
     """
     tone = tone_of(scene, ["camera"])
     problem = make_problem(tone.scene, CAMERA)
-    candidate = Candidate(curve=CAMERA, score=1.0, standard_error=0.1, light=light, problem=problem)
+    candidate = CurveCandidate(
+        curve=CAMERA, score=1.0, standard_error=0.1, light=light, problem=problem
+    )
     tone = replace(tone, candidates=[candidate])
-    course = Course(without)
-    found = solve(problem, light, CONFIG, 0, course)
+    pipeline = Pipeline(without)
+    found = solve(problem, light, CONFIG, 0, pipeline)
     if false_sun:
         sharp = torch.full((1, 3), false_sun)
         amplitudes = replace(found.light.amplitudes, sharp=sharp)
         found = replace(found, light=replace(found.light, amplitudes=amplitudes))
     sky = fit(problem, *no_suns(), CONFIG.iterations)
-    taken = with_proven_suns(tone, found, sky, course)
+    taken = with_tested_suns(tone, found, sky, pipeline)
     (choice,) = [each for each in taken.choices if each.choice == "suns"]
     assert choice.chosen == len(taken.light.axes)
     return taken, found, choice
@@ -112,10 +114,10 @@ def test_a_lead_counts_against_its_error_and_a_tenth_of_a_code():
     plain = (10 / 255) ** 2 * rng.chisquare(3, 1000) / 3
     # half a code less everywhere: certain, but for the tenth
     rich = plain * 0.95**2
-    lead = lead_in_errors(Proof.of(plain, rich, (views,)), ranking.CODE_ERROR)
+    lead = lead_in_errors(HeldOutTest.of(plain, rich, (views,)), ranking.CODE_ERROR)
     assert lead == pytest.approx(0.05 * 255 * np.sqrt(plain.mean()) / 0.1, rel=0.1)
     # noise that gains nothing
     other = (10 / 255) ** 2 * rng.chisquare(3, 1000) / 3
-    assert abs(lead_in_errors(Proof.of(plain, other, (views,)), ranking.CODE_ERROR)) < 2.5
+    assert abs(lead_in_errors(HeldOutTest.of(plain, other, (views,)), ranking.CODE_ERROR)) < 2.5
     # from the same errors twice nothing follows
-    assert lead_in_errors(Proof.of(plain, plain, (views,)), ranking.CODE_ERROR) == 0
+    assert lead_in_errors(HeldOutTest.of(plain, plain, (views,)), ranking.CODE_ERROR) == 0

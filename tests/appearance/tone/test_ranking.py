@@ -10,8 +10,7 @@ import pytest
 from appearance import synthetic
 
 from robir.appearance.light.problem import make_problem
-from robir.appearance.tone.ranking import Candidate
-from robir.appearance.tone.rivals import albedo_apart
+from robir.appearance.tone.ranking import CurveCandidate, albedo_apart
 from robir.maths.tone import curve_from_name
 
 SUN, SKY = 2.4, 0.12
@@ -22,7 +21,7 @@ def candidate():
     stage, curve = synthetic.boxes_on_a_floor(), curve_from_name("filmic")
     problem = make_problem(synthetic.scene_of(stage, SUN, SKY, curve), curve)
     light = synthetic.true_light(SUN, SKY)
-    return Candidate(curve=curve, score=3.0, standard_error=0.0, light=light, problem=problem)
+    return CurveCandidate(curve=curve, score=3.0, standard_error=0.0, light=light, problem=problem)
 
 
 def under(candidate, factor):

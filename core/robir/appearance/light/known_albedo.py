@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A spot whose paint the user knows: a grey card, a label, a measured colour."""
+"""A spot whose albedo the user knows: a grey card, a label, a measured colour."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from robir.transport.surfels import interpolate
 Floats = NDArray[np.float32]
 
 READ_ERROR = 0.02  # error of a spot's reading, of each channel's logarithm
-_SHEEN = 0.01  # what a white sheen adds to all channels of it (albedo)
+_SPECULAR = 0.01  # what a white specular reflection adds to all channels of it (albedo)
 _LEVEL_SPREAD = 2.0  # usual log by which albedo is off at all
 # usual log by which each channel is off against the others: what white balance leaves
 _HUE_SPREAD = 0.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class KnownPaint:
-    """A spot whose albedo the user tells.
+class KnownAlbedo:
+    """A spot whose albedo the user knows.
 
     Attributes:
         texel: u and v on the atlas, 0..1, v upwards.
@@ -39,15 +39,11 @@ class KnownPaint:
     albedo: Floats
 
     @classmethod
-    def of(cls, mesh: Mesh, white_point: tuple[float, ...]) -> KnownPaint | None:
+    def of(cls, mesh: Mesh, white_point: tuple[float, ...]) -> KnownAlbedo | None:
         """The spot of the setting `appearance.white_point` on an unwrapped mesh, if there is one.
 
-        Args:
-            mesh: Unit frame.
-            white_point: u and v, over the tiles if the mesh has such, red, green, blue; or empty.
-
         Raises:
-            ConfigError: If no face lies there.
+            ConfigError: If no face lies at its u and v, over the tiles if the mesh has such.
         """
         if not white_point:
             return None
@@ -79,13 +75,13 @@ class KnownPaint:
     def off(self, seen: Floats) -> Floats:
         """Log (3,) by which all albedo is too bright, if it is read as `seen` (N, 3) at the spot.
 
-        The likeliest, where readings err: each channel by `READ_ERROR`, and all together by what a
-        white `_SHEEN` adds, which is little of a bright channel and much of a dark one. A grey or
-        bright paint therefore tells level and hue as they are, a red one hardly any hue.
+        The posterior mean where each channel errs by `READ_ERROR` and all together by a white
+        `_SPECULAR`, which is much of a dark channel: grey or bright paint fixes level and hue, red
+        hardly any hue.
         """
         read = np.log(np.maximum(seen, 1e-4).mean(0) / self.albedo.astype(np.float64))
-        sheen = _SHEEN / self.albedo.astype(np.float64)
-        noise = READ_ERROR**2 * np.eye(3) + np.outer(sheen, sheen)
+        specular = _SPECULAR / self.albedo.astype(np.float64)
+        noise = READ_ERROR**2 * np.eye(3) + np.outer(specular, specular)
         prior = _LEVEL_SPREAD**2 + _HUE_SPREAD**2 * np.eye(3)
         return (prior @ np.linalg.solve(prior + noise, read)).astype(np.float32)
 

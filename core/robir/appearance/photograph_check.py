@@ -1,14 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The photographs have the last word: no part of the asset may show them worse than their mean.
+"""The last check: no part of the asset may show photographs worse than their plain mean does.
 
-The plain mean of all photographs of a point knows no light, no metal and no shadow. Where the whole
-model repeats the photographs of a block of the surface worse than that mean does, by more than
-chance, something in it is wrong there, whatever its proofs said of the surface as a whole. So the
-part that can be at fault is taken back on that block, the block's texture is read again, and what
-shows the photographs better stays. What is left after that is reported.
-
-Only a loss against the mean takes anything back. A gain proves nothing: a light of the wrong colour
-explains photographs well and turns the albedo brown.
+That mean knows no light, metal or shadow. Where the model is worse on a block of the surface, by
+more than chance, metal, specular layer and smoothing are reverted there in turn, and what shows the
+photographs better stays. A gain over the mean proves nothing: a light of the wrong colour explains
+photographs well and turns the albedo brown.
 """
 
 from __future__ import annotations
@@ -22,8 +18,8 @@ from numpy.typing import NDArray
 
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
-from robir.appearance.material.gloss import Gloss, retold
 from robir.appearance.material.roughness import MATTE
+from robir.appearance.material.specular import SpecularMaterial, with_material
 from robir.appearance.photometry.statistics import display_mean, linear_observations
 from robir.appearance.texture.texels import TexelAlbedo, Texels, radiance_towards
 from robir.capture.capture import View
@@ -70,13 +66,13 @@ class Asset:
     Attributes:
         problem: Scene under the chosen tone curve.
         light: Solved light.
-        gloss: Specular material of the samples.
+        specular: Specular material of the samples.
         values: Of the texels.
     """
 
     problem: Problem
     light: Light
-    gloss: Gloss
+    specular: SpecularMaterial
     values: TexelAlbedo
 
 
@@ -85,8 +81,8 @@ class Loss:
     """How the blocks of a surface are shown, against the mean of the photographs.
 
     Attributes:
-        ours: (B,) mean squared display error of the asset, codes in 0..1; NaN where too few
-            photographs show the block.
+        ours: (B,) mean squared display error of the asset, 0..1; NaN where too few photographs show
+            the block.
         mean: (B,) the same of the photographs' mean.
         error: (B,) standard error of the difference, over photographs.
     """
@@ -103,19 +99,19 @@ class Loss:
 
     def beyond(self, decibels: float) -> NDArray[np.bool_]:
         """(B,) blocks that are worse by more than so much, and by more than chance."""
-        is_sure = np.nan_to_num(self.ours - self.mean) > _MARGIN * np.nan_to_num(self.error)
-        return is_sure & (self.decibels > decibels)
+        is_significant = np.nan_to_num(self.ours - self.mean) > _MARGIN * np.nan_to_num(self.error)
+        return is_significant & (self.decibels > decibels)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LastWord:
-    """What the photographs took back, and what they still object to.
+class CheckResult:
+    """What was reverted, and what is still worse than the mean.
 
     Attributes:
         asset: What is left.
-        taken_back: Share of the blocks on which each part was taken back.
-        worst: Largest loss of a block that is more than chance, dB; 0 without one.
-        unexplained: Share of the blocks that are worse than the mean by more than a person sees.
+        taken_back: Share of the blocks on which each part was reverted.
+        worst: Largest significant loss of a block, dB; 0 without one.
+        unexplained: Share of the blocks that are visibly worse than the mean.
     """
 
     asset: Asset
@@ -126,11 +122,11 @@ class LastWord:
     @property
     def choice(self) -> Choice:
         """For the report."""
-        told = [f"{part} on {share:.0%}" for part, share in self.taken_back.items() if share]
+        reverted = [f"{part} on {share:.0%}" for part, share in self.taken_back.items() if share]
         left = f"; {self.unexplained:.0%} of the surface still is" if self.unexplained else ""
         return Choice(
             choice="taken back",
-            chosen=", ".join(told) or "nothing",
+            chosen=", ".join(reverted) or "nothing",
             alternatives=_PARTS,
             why="blocks of the surface that the asset shows worse than the photographs' mean, by "
             f"more than {_MARGIN:g} standard errors and {_LOSS:g} dB{left}",
@@ -146,8 +142,8 @@ class LastWord:
         }
 
 
-class Jury:
-    """The photographs, and the blocks that they judge."""
+class PhotographCheck:
+    """The photographs, and the blocks of the surface on which they are compared."""
 
     def __init__(
         self,
@@ -156,22 +152,15 @@ class Jury:
         views: tuple[View, ...],
         tracer: EmbreeTracer,
     ) -> None:
-        """Read the photographs once.
-
-        Args:
-            problem: Scene under the chosen tone curve.
-            texels: Points of the atlas.
-            views: Photographs that take part, a pixel about as large as a texel.
-            tracer: Of the mesh.
-        """
+        """Read photographs, whose pixels are about as large as texels, once."""
         self._problem = problem
         places = _places(texels.position, texels.normal)
         some = np.linspace(0, len(places) - 1, min(_NUM_TEXELS, len(places))).astype(np.int64)
         seeds = farthest_points(places[some], min(_NUM_BLOCKS, len(some)))
         self._seeds = places[some][seeds]
-        judges = spread_views(views, min(_NUM_VIEWS, len(views)))
+        chosen = spread_views(views, min(_NUM_VIEWS, len(views)))
         position, normal = texels.position[some], texels.normal[some]
-        seen = observe(tracer, position, normal, judges, problem.scene.offset)
+        seen = observe(tracer, position, normal, chosen, problem.scene.offset)
         shown = (seen.weight > 0).sum(1) >= 2
         self._some = some[shown]
         self._points = Texels(position=position[shown], normal=normal[shown])
@@ -202,11 +191,11 @@ class Jury:
             squared = ((shown - photo) ** 2).mean(2)
             total = np.bincount(cell[valid], squared[valid], count * views)
             tables.append(total.reshape(count, views) / np.maximum(size, 1))
-        judged = size > 0
-        number = judged.sum(1)
-        means = [np.where(judged, table, 0).sum(1) / np.maximum(number, 1) for table in tables]
-        apart = np.where(judged, tables[0] - tables[1], 0)
-        spread = np.where(judged, (apart - (means[0] - means[1])[:, None]) ** 2, 0).sum(1)
+        is_compared = size > 0
+        number = is_compared.sum(1)
+        means = [np.where(is_compared, table, 0).sum(1) / np.maximum(number, 1) for table in tables]
+        apart = np.where(is_compared, tables[0] - tables[1], 0)
+        spread = np.where(is_compared, (apart - (means[0] - means[1])[:, None]) ** 2, 0).sum(1)
         error = np.sqrt(spread / np.maximum(number * (number - 1), 1))
         hidden = number < _LEAST_VIEWS
         mine, mean = (np.where(hidden, np.nan, values).astype(np.float32) for values in means)
@@ -220,7 +209,7 @@ class Jury:
         towards /= np.linalg.norm(towards, axis=1, keepdims=True)
         texel = self._some[point]
         whole, _ = radiance_towards(
-            (asset.problem, asset.light, asset.gloss),
+            (asset.problem, asset.light, asset.specular),
             points,
             (point, towards.astype(np.float32)),
             (values.albedo[texel], values.metallic[texel, None]),
@@ -237,40 +226,36 @@ class Jury:
         return shown.clamp(0, 1).numpy().astype(np.float32)
 
 
-def heard(
-    jury: Jury, asset: Asset, read: Callable[[Gloss], TexelAlbedo], texels: Texels
-) -> LastWord:
-    """Take back what the photographs object to, block by block.
+def check_asset(
+    check: PhotographCheck,
+    asset: Asset,
+    read: Callable[[SpecularMaterial], TexelAlbedo],
+    texels: Texels,
+) -> CheckResult:
+    """Revert, block by block, what shows the photographs worse than their mean.
 
-    Args:
-        jury: The photographs.
-        asset: What they judge.
-        read: Reads the texels again under another specular material.
-        texels: Points of the atlas.
-
-    Returns:
-        The asset that they leave.
+    `read` reads the texels again under another specular material.
     """
     surfels = asset.problem.scene.transport.surfels
-    of_texel = jury.blocks(texels.position, texels.normal)
-    of_sample = jury.blocks(surfels.position, surfels.normal)
-    loss = jury.loss(asset)
+    of_texel = check.blocks(texels.position, texels.normal)
+    of_sample = check.blocks(surfels.position, surfels.normal)
+    loss = check.loss(asset)
     taken: dict[str, float] = dict.fromkeys(_PARTS, 0.0)
     for part in _PARTS:
         wanted = loss.beyond(_LOSS)
         tried = _without(part, asset, wanted[of_sample], read) if wanted.any() else None
         if tried is None:
             continue
-        after = jury.loss(tried)
+        after = check.loss(tried)
         # compared with what the mean leaves, not with each other: both have its errors
         better = wanted & (np.nan_to_num(after.ours) < np.nan_to_num(loss.ours))
         if not better.any():
             continue
         asset = _joined(asset, tried, better[of_sample], better[of_texel])
-        loss = jury.loss(asset)
+        loss = check.loss(asset)
         taken[part] = float(better.mean())
     worst = loss.decibels[loss.beyond(0.0)]
-    return LastWord(
+    return CheckResult(
         asset=asset,
         taken_back=taken,
         worst=float(worst.max()) if len(worst) else 0.0,
@@ -279,31 +264,34 @@ def heard(
 
 
 def _without(
-    part: str, asset: Asset, chosen: NDArray[np.bool_], read: Callable[[Gloss], TexelAlbedo]
+    part: str,
+    asset: Asset,
+    chosen: NDArray[np.bool_],
+    read: Callable[[SpecularMaterial], TexelAlbedo],
 ) -> Asset | None:
     """The asset without a part on chosen samples (S,), None where these have no such part."""
     if part == "smoothing":
         return replace(asset, values=replace(asset.values, albedo=asset.values.read))
-    is_metal = asset.gloss.metallic > 0.5
-    affected = chosen & (is_metal if part == "metal" else ~is_metal & asset.gloss.has_highlights)
+    is_metal = asset.specular.metallic > 0.5
+    affected = chosen & (is_metal if part == "metal" else ~is_metal & asset.specular.has_highlights)
     if not affected.any():
         return None
     # as dull as a dielectric can be: what it then reflects no view tells from its diffuse light
     dull = np.full(len(chosen), MATTE, np.float32), np.zeros(len(chosen), np.float32)
-    gloss, _ = retold(asset.problem, asset.light, asset.gloss, affected, dull)
-    return replace(asset, gloss=gloss, values=read(gloss))
+    specular, _ = with_material(asset.problem, asset.light, asset.specular, affected, dull)
+    return replace(asset, specular=specular, values=read(specular))
 
 
 def _joined(
     asset: Asset, other: Asset, samples: NDArray[np.bool_], texels: NDArray[np.bool_]
 ) -> Asset:
     """The asset with what the other has on some samples (S,) and texels (N,)."""
-    gloss = replace(
-        asset.gloss,
-        roughness=np.where(samples, other.gloss.roughness, asset.gloss.roughness),
-        metallic=np.where(samples, other.gloss.metallic, asset.gloss.metallic),
-        floor=np.where(samples[:, None], other.gloss.floor, asset.gloss.floor),
-        kept=np.where(samples[:, None], other.gloss.kept, asset.gloss.kept),
+    specular = replace(
+        asset.specular,
+        roughness=np.where(samples, other.specular.roughness, asset.specular.roughness),
+        metallic=np.where(samples, other.specular.metallic, asset.specular.metallic),
+        floor=np.where(samples[:, None], other.specular.floor, asset.specular.floor),
+        kept=np.where(samples[:, None], other.specular.kept, asset.specular.kept),
     )
     values = {
         name: np.where(
@@ -314,7 +302,7 @@ def _joined(
         for name in ("albedo", "disagreement", "read", "unknown", "uncertainty", "roughness",
                      "metallic")
     }  # fmt: skip
-    return replace(asset, gloss=gloss, values=replace(asset.values, **values))
+    return replace(asset, specular=specular, values=replace(asset.values, **values))
 
 
 def _places(position: Floats, normal: Floats) -> Floats:
