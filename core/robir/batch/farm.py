@@ -19,69 +19,45 @@ from robir.batch.local import worker_environment
 from robir.errors import DeviceError, UsageError
 from robir.jobs.paths import write_json
 
-MOST_TASKS = 1000
-"""Largest array that Slurm takes by default (MaxArraySize)."""
-
+MOST_TASKS = 1000  # largest array that Slurm takes by default (MaxArraySize)
 _MIB = 1 << 20
 
+# what Slurm runs; everything particular is in its words and its variable
 _SCRIPT = Path(__file__).with_name("templates") / "slurm.sh"
-"""What Slurm runs; everything particular is in its words and its variable."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Place:
-    """A folder that a farm may have elsewhere.
+    """A folder that a farm may have elsewhere."""
 
-    Attributes:
-        path: Where it is here, absolute.
-        flow: Whether it is only read, or written, too.
-        about: What it is, for people.
-    """
-
-    path: Path
-    flow: Literal["IN", "INOUT"]
-    about: str
+    path: Path  # where it is here, absolute
+    flow: Literal["IN", "INOUT"]  # whether it is only read, or written, too
+    about: str  # what it is, for people
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Step:
-    """One command, for several numbers or once.
+    """One command, for several numbers or once."""
 
-    Attributes:
-        name: Of the step, letters only.
-        words: Of the command after `robir`; a place is spelt {{Param.NAME}}.
-        tasks: Numbers, rising, each of which the command is given as `--task`; empty for one task
-            without.
-        after: Step that has to end before; empty for none.
-        is_paired: Whether each task waits but for the one of its number, and for its good end.
-        memory: Bytes that a task needs.
-        needs_gpu: Whether a task asks for a graphics card.
-        queue: Slurm's partition; empty for the usual one.
-    """
-
-    name: str
-    words: tuple[str, ...]
+    name: str  # of the step, letters only
+    words: tuple[str, ...]  # of the command after `robir`; a place is spelt {{Param.NAME}}
+    # numbers, rising, each of which the command is given as `--task`; empty for one task without
     tasks: tuple[int, ...] = ()
-    after: str = ""
+    after: str = ""  # step that has to end before; empty for none
+    # whether each task waits but for the one of its number, and for its good end
     is_paired: bool = False
-    memory: int = 0
-    needs_gpu: bool = False
-    queue: str = ""
+    memory: int = 0  # bytes that a task needs
+    needs_gpu: bool = False  # whether a task asks for a graphics card
+    queue: str = ""  # Slurm's partition; empty for the usual one
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Job:
-    """What a farm is to do.
+    """What a farm is to do."""
 
-    Attributes:
-        name: For people.
-        places: By name.
-        steps: Each after those that it waits for.
-    """
-
-    name: str
-    places: Mapping[str, Place]
-    steps: Sequence[Step]
+    name: str  # for people
+    places: Mapping[str, Place]  # by name
+    steps: Sequence[Step]  # each after those that it waits for
 
 
 def write_openjd(job: Job, folder: Path) -> Path:

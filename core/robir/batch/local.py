@@ -27,71 +27,47 @@ from robir.jobs.library import LibraryPaths, preferred
 from robir.pipeline.faults import stop_held
 from robir.workers import CORES, available_cores
 
-_PERIOD = 0.5
-"""Seconds between two looks at the result folders of what is at work."""
-
-_PATIENCE = 15.0
-"""Seconds that a process has to end in good order."""
-
+_PERIOD = 0.5  # seconds between two looks at the result folders of what is at work
+_PATIENCE = 15.0  # seconds that a process has to end in good order
 _TRIES = 2
 _KILLED = -9
 
+# exit codes that a second try would only repeat: the user's to mend, or wanted by the user
 _FINAL = frozenset(
     kind.exit_code for kind in (UsageError, CaptureError, QualityError, CancelledError)
 )
-"""Exit codes that a second try would only repeat: the user's to mend, or wanted by the user."""
-
+# how a process ends that had too little memory
 _HUNGRY = frozenset({_KILLED, DeviceError.exit_code})
-"""How a process ends that had too little memory."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Limits:
-    """What the machine may be asked for.
+    """What the machine may be asked for."""
 
-    Attributes:
-        jobs: Most captures at a time.
-        memory: Bytes of main memory that all of them together may need.
-        cores: That those at a time share.
-    """
-
-    jobs: int
-    memory: int
-    cores: int = field(default_factory=available_cores)
+    jobs: int  # most captures at a time
+    memory: int  # bytes of main memory that all of them together may need
+    cores: int = field(default_factory=available_cores)  # that those at a time share
 
 
 @dataclass(slots=True, kw_only=True)
 class Item:
-    """A capture that is to be done.
+    """A capture that is to be done."""
 
-    Attributes:
-        request: The reconstruction.
-        need: Bytes of memory it is taken to need.
-        standing: Where it stands.
-        tries: How often it was started.
-    """
-
-    request: client.Request
-    need: int
-    standing: Standing
-    tries: int = 0
+    request: client.Request  # the reconstruction
+    need: int  # bytes of memory it is taken to need
+    standing: Standing  # where it stands
+    tries: int = 0  # how often it was started
 
 
 @dataclass(slots=True)
 class LocalBatch:
-    """A batch at work.
+    """A batch at work."""
 
-    Attributes:
-        paths: The library.
-        items: All captures in the plan's order; those that are done before are marked so.
-        limits: See `Limits`.
-        program: Words before those of a request, such as PYTHON -P -m robir.
-    """
-
-    paths: LibraryPaths
+    paths: LibraryPaths  # the library
+    # all captures in the plan's order; those that are done before are marked so
     items: Sequence[Item]
-    limits: Limits
-    program: Sequence[str]
+    limits: Limits  # see `Limits`
+    program: Sequence[str]  # words before those of a request, such as PYTHON -P -m robir
     _waiting: list[Item] = field(default_factory=list)
     _running: list[Item] = field(default_factory=list)
 

@@ -21,8 +21,7 @@ _BYTES_PER_PIXEL = 8
 _BYTES_PER_RAY = 16
 
 _SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".heic", ".dng")
-_FRAMES = 60
-"""Photographs that a video is taken to give."""
+_FRAMES = 60  # photographs that a video is taken to give
 
 
 def memory_needed(plan: Plan, entry: Entry) -> int:

@@ -27,28 +27,18 @@ _ORDER = ("failed", "doubtful", "running", "waiting", "dropped", "done")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Row:
-    """What the sheet says of one capture.
+    """What the sheet says of one capture."""
 
-    Attributes:
-        name: Of its result folder.
-        state: As of `Standing`, or "doubtful".
-        word: What is said of it: the result's verdict, else its state.
-        sentences: Why it failed, or the verdict's reason and remedy.
-        facts: "psnr" in dB, "views", "seconds" of the processor, "preset"; empty without a result.
-        tags: Of its asset.
-        report: Its own report from the library's folder; empty without one.
-        picture: Its pictures, likewise.
-        files: The formats that the library offers, each with its file, likewise.
-    """
-
-    name: str
-    state: str
-    word: str = ""
-    sentences: tuple[str, ...] = ()
+    name: str  # of its result folder
+    state: str  # as of `Standing`, or "doubtful"
+    word: str = ""  # what is said of it: the result's verdict, else its state
+    sentences: tuple[str, ...] = ()  # why it failed, or the verdict's reason and remedy
+    # "psnr" in dB, "views", "seconds" of the processor, "preset"; empty without a result
     facts: Mapping[str, Any] = field(default_factory=dict)
-    tags: tuple[str, ...] = ()
-    report: str = ""
-    picture: str = ""
+    tags: tuple[str, ...] = ()  # of its asset
+    report: str = ""  # its own report from the library's folder; empty without one
+    picture: str = ""  # its pictures, likewise
+    # the formats that the library offers, each with its file, likewise
     files: Mapping[str, str] = field(default_factory=dict)
 
 

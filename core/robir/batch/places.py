@@ -17,11 +17,9 @@ from robir.jobs.names import UnsafeNameError, checked_name, file_in
 from robir.pipeline.inputs import is_capture_file
 
 _WILD = re.compile(r"[*?[]")
+# names that Windows keeps for devices, whatever follows a dot
 _RESERVED = re.compile(r"(?:con|prn|aux|nul|com[0-9]|lpt[0-9])(?:\..*)?", re.IGNORECASE)
-"""Names that Windows keeps for devices, whatever follows a dot."""
-
-_MOST_PLACES = 100_000
-"""Captures that one path with `*` may stand for."""
+_MOST_PLACES = 100_000  # captures that one path with `*` may stand for
 
 
 def absolute(path: str) -> Path:

@@ -32,31 +32,20 @@ _UNITS = {"K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Entry:
-    """One capture of a plan.
+    """One capture of a plan."""
 
-    Attributes:
-        path: The capture; in PLAN.toml from the plan's folder, with `*` for many, in the library
-            from the folder of captures.
-        name: Of its result folder; empty for that of the capture.
-        preset: What it may cost.
-        settings: Items as of `--set`.
-        masks: Folder of masks, as `path`; empty for the capture's own.
-        memory: What it needs, such as "3G"; empty to estimate it.
-        author: As in `AssetFacts`, and so are the next three.
-        licence: Of the asset.
-        tags: Of the asset.
-        catalogue: Of the asset; empty for its first tag, else the folder that holds the capture.
-    """
-
+    # the capture; in PLAN.toml from the plan's folder, with `*` for many, in the library from the
+    # folder of captures
     path: str
-    name: str = ""
-    preset: Literal["draft", "standard", "high"] = "draft"
-    settings: tuple[str, ...] = ()
-    masks: str = ""
-    memory: str = ""
-    author: str = ""
-    licence: str = ""
-    tags: tuple[str, ...] = ()
+    name: str = ""  # of its result folder; empty for that of the capture
+    preset: Literal["draft", "standard", "high"] = "draft"  # what it may cost
+    settings: tuple[str, ...] = ()  # items as of `--set`
+    masks: str = ""  # folder of masks, as `path`; empty for the capture's own
+    memory: str = ""  # what it needs, such as "3G"; empty to estimate it
+    author: str = ""  # as in `AssetFacts`, and so are the next three
+    licence: str = ""  # of the asset
+    tags: tuple[str, ...] = ()  # of the asset
+    # of the asset; empty for its first tag, else the folder that holds the capture
     catalogue: str = ""
 
     def config(self) -> RunConfig:
@@ -70,17 +59,12 @@ class Entry:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Options:
-    """What holds for the whole library.
+    """What holds for the whole library."""
 
-    Attributes:
-        device: As of `robir reconstruct`.
-        textures: Of the assets; see `AssetFacts`.
-        formats: What the library offers of each result: "glb", "usd", and "blend", which makes it
-            an asset of Blender's library.
-    """
-
-    device: Literal["auto", "cpu", "cuda"] = "auto"
-    textures: Literal["packed", "relative"] = "packed"
+    device: Literal["auto", "cpu", "cuda"] = "auto"  # as of `robir reconstruct`
+    textures: Literal["packed", "relative"] = "packed"  # of the assets; see `AssetFacts`
+    # what the library offers of each result: "glb", "usd", and "blend", which makes it an asset of
+    # Blender's library
     formats: tuple[Format, ...] = ("glb", "blend")
 
     @property
@@ -91,17 +75,11 @@ class Options:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plan:
-    """What a batch is to do.
+    """What a batch is to do."""
 
-    Attributes:
-        captures: Folder that the entries' paths start from, absolute.
-        entries: One a result, of different names.
-        options: What holds for all.
-    """
-
-    captures: Path
-    entries: tuple[Entry, ...]
-    options: Options = Options()
+    captures: Path  # folder that the entries' paths start from, absolute
+    entries: tuple[Entry, ...]  # one a result, of different names
+    options: Options = Options()  # what holds for all
 
     def request(self, entry: Entry, paths: LibraryPaths) -> Request:
         """The reconstruction of an entry."""

@@ -20,20 +20,13 @@ State = Literal["waiting", "running", "done", "failed", "dropped"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Standing:
-    """Where one capture stands.
+    """Where one capture stands."""
 
-    Attributes:
-        name: Of its result folder.
-        state: "done" also where the result failed its own quality check.
-        fraction: Share that is done, in [0, 1].
-        message: What is being done, or why it ended.
-        exit_code: What its process ended with; None while it has not, or where it was killed.
-    """
-
-    name: str
-    state: State
-    fraction: float = 0.0
-    message: str = ""
+    name: str  # of its result folder
+    state: State  # "done" also where the result failed its own quality check
+    fraction: float = 0.0  # share that is done, in [0, 1]
+    message: str = ""  # what is being done, or why it ended
+    # what its process ended with; None while it has not, or where it was killed
     exit_code: int | None = None
 
 

@@ -33,14 +33,10 @@ from robir.pipeline.reporter import Display
 from robir.workers import available_cores
 
 _STATE_PERIOD = 2.0
-_PAGE_PERIOD = 20.0
-"""Seconds between two writings of the state and of the page."""
-
-_SPARE = 0.9
-"""Share of the free memory that is used where none is given."""
-
+_PAGE_PERIOD = 20.0  # seconds between two writings of the state and of the page
+_SPARE = 0.9  # share of the free memory that is used where none is given
+# exit codes that a farm need not try again: the page tells of them
 _OF_THE_CAPTURE = frozenset(kind.exit_code for kind in (UsageError, CaptureError, QualityError))
-"""Exit codes that a farm need not try again: the page tells of them."""
 
 
 def batch(options: Namespace, program: Sequence[str] | None = None) -> int:

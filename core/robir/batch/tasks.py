@@ -10,12 +10,10 @@ from robir.batch.farm import Job, Place, Step
 from robir.jobs.library import LibraryPaths
 from robir.jobs.paths import STAGES
 
-FIT = "geometry"
-"""The stage that a graphics card shortens most."""
-
+FIT = "geometry"  # the stage that a graphics card shortens most
 _WHOLE = {"Reconstruct": (STAGES[0], STAGES[-1])}
+# first and last stage of each step
 _PARTS = {"Read": ("capture", "capture"), "Fit": (FIT, FIT), "Finish": ("transport", STAGES[-1])}
-"""First and last stage of each step."""
 
 
 def library_job(

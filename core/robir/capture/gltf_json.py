@@ -40,9 +40,8 @@ _FORM = {
     "textures?": [{}], "images?": [{"uri?": str, "bufferView?": int}],
 }  # fmt: skip
 _HARMLESS = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "MSFT_texture_", "KHR_lights_")
+# beginnings of the names of extensions that change no triangle, or that are read
 _HARMLESS += ("KHR_mesh_quantization", "KHR_xmp", "EXT_lights_")
-"""Beginnings of the names of extensions that change no triangle, or that are read."""
-
 COMPRESSED = {
     "KHR_draco_mesh_compression": "compressed with Draco",
     "EXT_meshopt_compression": "compressed with meshopt",

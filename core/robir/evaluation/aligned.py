@@ -29,28 +29,20 @@ from robir.maths.similarity import Similarity, turn_in_words
 
 Array = NDArray[np.floating[Any]]
 
-FEWEST = 4
-"""Photographs that the result and the truth must share."""
-
+FEWEST = 4  # photographs that the result and the truth must share
 _POINTS = 60
-_OUTLIER = 2.0
-"""Pixels beyond which a point counts by its distance, no longer by its square."""
+_OUTLIER = 2.0  # pixels beyond which a point counts by its distance, no longer by its square
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Alignment:
-    """How the truth's frame lies in the result's.
+    """How the truth's frame lies in the result's."""
 
-    Attributes:
-        place: Brings the truth's frame to the result's.
-        pixels: Root mean square distance of points of the true surface from their true places in
-            the photographs, seen by the result's cameras, pixels of the photographs.
-        photographs: How many the result and the truth share.
-    """
-
-    place: Similarity
+    place: Similarity  # brings the truth's frame to the result's
+    # root mean square distance of points of the true surface from their true places in the
+    # photographs, seen by the result's cameras, pixels of the photographs
     pixels: float
-    photographs: int
+    photographs: int  # how many the result and the truth share
 
     def described(self) -> dict[str, Any]:
         """Plain JSON values."""

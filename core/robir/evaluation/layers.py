@@ -24,9 +24,7 @@ from robir.jobs.records import NUMBERS, read_record
 
 Array = NDArray[np.floating[Any]]
 
-TONE_CURVE = {"family": str, "parameters": {...: float}}
-"""What tone_curve.json has to hold."""
-
+TONE_CURVE = {"family": str, "parameters": {...: float}}  # what tone_curve.json has to hold
 _EXPOSURE = {
     "steps": {...: NUMBERS}, "corner_steps": float, "slope_steps": {...: NUMBERS},
     "other_light": [str],
@@ -38,29 +36,22 @@ _TEXTURES = {
     "coverage?": "f T T", "disagreement?": "f T T", "uncertainty?": "f T T", "specular?": "f",
 }  # fmt: skip
 
+# rays along either side of a pixel where a layer holds means, as a renderer's passes do
 SUB_PIXELS = 3
-"""Rays along either side of a pixel where a layer holds means, as a renderer's passes do."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Layers:
-    """Images of one view; 0 where the camera misses the mesh.
+    """Images of one view; 0 where the camera misses the mesh."""
 
-    Attributes:
-        hit: (H, W) bool, whether the ray through the pixel's centre meets the mesh.
-        position: (H, W, 3), where it does, frame of the mesh. The others are means over the part
-            of the pixel that shows the mesh.
-        normal: (H, W, 3), unit, world.
-        albedo_linear: (H, W, 3), linear Rec.709.
-        roughness: (H, W), perceptual.
-        uncertainty: (H, W), standard error of log albedo, or None where a result states none.
-    """
-
-    hit: NDArray[np.bool_]
+    hit: NDArray[np.bool_]  # (H, W) bool, whether the ray through the pixel's centre meets the mesh
+    # (H, W, 3), where it does, frame of the mesh. The others are means over the part of the pixel
+    # that shows the mesh.
     position: Array
-    normal: Array
-    albedo_linear: Array
-    roughness: Array
+    normal: Array  # (H, W, 3), unit, world
+    albedo_linear: Array  # (H, W, 3), linear Rec.709
+    roughness: Array  # (H, W), perceptual
+    # (H, W), standard error of log albedo, or None where a result states none
     uncertainty: Array | None
 
 

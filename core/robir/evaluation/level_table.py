@@ -6,8 +6,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+# titles of the columns of `level_cells`
 LEVEL_HEAD = ("level", "", "dB", "SSIM", "gradient", "dB, whole mask", "loss, dB")
-"""Titles of the columns of `level_cells`."""
 
 
 def level_cells(levels: Mapping[str, Any]) -> list[list[str]]:

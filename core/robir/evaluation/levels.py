@@ -41,38 +41,25 @@ from robir.transport.baked import RAY_OFFSET
 from robir.transport.observe import MASK_INSIDE, spread_views
 
 Picture = NDArray[np.uint8]
-Pictures = dict[str, Picture]
-"""RGBA codes by the view's name."""
-
+Pictures = dict[str, Picture]  # RGBA codes by the view's name
+# longer side, pixels, that all is scored at, whatever size the photographs are stored in
 SIDE = 400
-"""Longer side, pixels, that all is scored at, whatever size the photographs are stored in."""
-
-STRIP_VIEWS = 3
-"""Held-out photographs that are shown."""
-
-NOTEWORTHY = 0.1
-"""Loss below which no stage is named, dB."""
+STRIP_VIEWS = 3  # held-out photographs that are shown
+NOTEWORTHY = 0.1  # loss below which no stage is named, dB
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Level:
-    """One level of the chain.
+    """One level of the chain."""
 
-    Attributes:
-        name: Key in levels.json.
-        letter: In tables.
-        title: What is shown.
-        stage: What is at fault where it loses against the level before.
-        reason: How it loses.
-    """
-
-    name: str
-    letter: str
-    title: str
-    stage: str
-    reason: str
+    name: str  # key in levels.json
+    letter: str  # in tables
+    title: str  # what is shown
+    stage: str  # what is at fault where it loses against the level before
+    reason: str  # how it loses
 
 
+# the chain, in order
 LEVELS = (
     Level(
         name="hull",
@@ -125,21 +112,15 @@ LEVELS = (
         reason="Blender shows the asset otherwise than our own renderer",
     ),
 )
-"""The chain, in order."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Judged:
-    """A held-out photograph and where levels are compared with it.
+    """A held-out photograph and where levels are compared with it."""
 
-    Attributes:
-        view: At the size that is scored.
-        whole: (H, W) pixels that are wholly object.
-        seen: (H, W) those of them where the mesh is met and some photograph shows the point.
-    """
-
-    view: View
-    whole: NDArray[np.bool_]
+    view: View  # at the size that is scored
+    whole: NDArray[np.bool_]  # (H, W) pixels that are wholly object
+    # (H, W) those of them where the mesh is met and some photograph shows the point
     seen: NDArray[np.bool_]
 
 

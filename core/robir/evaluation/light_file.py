@@ -16,12 +16,10 @@ from robir.capture.images.regular import regular
 from robir.errors import UsageError
 from robir.evaluation.truth import TooLargeError, read_exr
 
+# largest map; Blender takes sixteen bytes for each texel, and as many while it reads them
 MOST_TEXELS = 8192 * 4096
-"""Largest map; Blender takes sixteen bytes for each texel, and as many while it reads them."""
-
+# above any light in watts per square metre and steradian; sums of larger ones are no numbers
 _MOST_RADIANCE = 1e12
-"""Above any light in watts per square metre and steradian; sums of larger ones are no numbers."""
-
 _HDR_HEAD_BYTES = 1 << 16
 _HDR_SIZE = re.compile(rb"\n[-+][XY] (\d{1,9}) [-+][XY] (\d{1,9})\n")
 

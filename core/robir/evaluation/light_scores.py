@@ -29,15 +29,10 @@ _LIGHT = {"lobes": [{"axis": NUMBERS, "sharpness": float, "amplitude": NUMBERS, 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecoveredLight:
-    """The lobes of light.json.
+    """The lobes of light.json."""
 
-    Attributes:
-        lobes: World-space mixture; amplitude is radiance, linear Rec.709.
-        is_sharp: (K,) bool, suns and lamps as opposed to sky.
-    """
-
-    lobes: sg.SphericalGaussians
-    is_sharp: NDArray[np.bool_]
+    lobes: sg.SphericalGaussians  # world-space mixture; amplitude is radiance, linear Rec.709
+    is_sharp: NDArray[np.bool_]  # (K,) bool, suns and lamps as opposed to sky
 
     def power(self) -> Array:
         """Luminance of each lobe integrated over the sphere, (K,)."""

@@ -78,23 +78,16 @@ def exposed(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Exposures:
-    """How the photographs of a capture were exposed and lit.
+    """How the photographs of a capture were exposed and lit."""
 
-    Attributes:
-        steps: By which each channel is brighter than at the common exposure, log2, by the view's
-            name; a view that is not there was exposed like all.
-        corner_steps: By which the corners of all photographs are darker than their middle.
-        slope_steps: By which each is brighter per unit of the normal, log2; empty where all are in
-            one light.
-        curve: The tone curve under which this holds.
-        surface: Of the object, where there are slopes; in the frame of the views.
-    """
-
+    # by which each channel is brighter than at the common exposure, log2, by the view's name; a
+    # view that is not there was exposed like all
     steps: Mapping[str, Sequence[float]]
-    corner_steps: float
+    corner_steps: float  # by which the corners of all photographs are darker than their middle
+    # by which each is brighter per unit of the normal, log2; empty where all are in one light
     slope_steps: Mapping[str, Sequence[float]]
-    curve: AbstractToneCurve
-    surface: MeshCaster | None
+    curve: AbstractToneCurve  # the tone curve under which this holds
+    surface: MeshCaster | None  # of the object, where there are slopes; in the frame of the views
 
     @classmethod
     def of(

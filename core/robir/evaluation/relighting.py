@@ -24,12 +24,8 @@ from robir.maths import tone
 
 Array = NDArray[np.floating[Any]]
 
-LIGHT = "second_light"
-"""Name, without suffix, of the map beside the truth."""
-
-WHOLE = 254
-"""Code of alpha from which a pixel is wholly the object's."""
-
+LIGHT = "second_light"  # name, without suffix, of the map beside the truth
+WHOLE = 254  # code of alpha from which a pixel is wholly the object's
 _WHOLE_SHARE = 0.999
 
 

@@ -12,20 +12,14 @@ from robir.evaluation.levels import LEVELS
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Score:
-    """One column.
+    """One column."""
 
-    Attributes:
-        title: Heading with the unit.
-        path: Dotted place in the scores; "a - b" is a difference of two.
-        best: Which end is good: "high", "low", "one" for ratios that should be 1, "zero" for errors
-            with a sign, or "nine tenths" for shares that should be that.
-        digits: Decimals shown.
-    """
-
-    title: str
-    path: str
+    title: str  # heading with the unit
+    path: str  # dotted place in the scores; "a - b" is a difference of two
+    # which end is good: "high", "low", "one" for ratios that should be 1, "zero" for errors with a
+    # sign, or "nine tenths" for shares that should be that
     best: Literal["high", "low", "one", "zero", "nine tenths"]
-    digits: int
+    digits: int  # decimals shown
 
     def value(self, scores: Mapping[str, Any]) -> float | None:
         """The score, or None where it could not be measured."""
@@ -51,6 +45,7 @@ class Score:
 
 _ALBEDO = "albedo.psnr_linear"
 
+# scores of one evaluation, as `robir.evaluation.evaluate.evaluate` returns them
 SCORES = (
     Score(
         title="albedo, per channel (dB)", path=f"{_ALBEDO}.per_channel_lsq", best="high", digits=1
@@ -77,8 +72,6 @@ SCORES = (
     Score(title="tone curve (stops)", path="tone_curve.stops", best="low", digits=2),
     Score(title="90 % band", path="uncertainty.share_90", best="nine tenths", digits=2),
 )
-"""Scores of one evaluation, as `robir.evaluation.evaluate.evaluate` returns them."""
-
 ALBEDO, ABOVE_PHOTO, RAW_ALBEDO, SHADOW, SUN, NORMALS = SCORES[:6]
 ROUGHNESS = SCORES[8]
 
@@ -92,17 +85,17 @@ RELIT = Score(
 )
 RELIT_RAW = Score(title="relit, raw (dB)", path="relighting.psnr_srgb.raw", best="high", digits=1)
 
+# what the bench records of a run beside the scores: how its own re-render of held-out photographs
+# compares with them, and what it cost
 COSTS = (
     Score(title="re-render (dB)", path="held_out.psnr", best="high", digits=1),
     Score(title="CPU-s", path="cpu_seconds", best="low", digits=0),
     Score(title="peak GB", path="peak_gigabytes", best="low", digits=2),
 )
-"""What the bench records of a run beside the scores: how its own re-render of held-out photographs
-compares with them, and what it cost."""
-
 RERENDER, SECONDS = COSTS[0], COSTS[1]
 
 
+# scores of the levels, as `robir evaluate --json` prints them
 LEVEL_SCORES = (
     *(
         Score(
@@ -136,7 +129,6 @@ LEVEL_SCORES = (
         digits=1,
     ),
 )
-"""Scores of the levels, as `robir evaluate --json` prints them."""
 
 
 def score_lines(scores: Mapping[str, Any]) -> list[str]:

@@ -24,15 +24,13 @@ if TYPE_CHECKING:
 Array = NDArray[np.floating[Any]]
 Picture = NDArray[np.uint8]
 
+# longer side of a picture that is cut to the object, pixels: as much as a page can show
 MAX_SIDE = 320
-"""Longer side of a picture that is cut to the object, pixels: as much as a page can show."""
-
 _MARGIN = 1.08
 _MAX_ROWS = 4
 _GAP = 4
 _LABEL_HEIGHT = 26
-BACKGROUND = 36
-"""Code of the dark grey behind pictures."""
+BACKGROUND = 36  # code of the dark grey behind pictures
 
 
 def display_codes(image_display: Array, hit: NDArray[np.bool_] | None = None) -> Picture:

@@ -22,19 +22,12 @@ _NEIGHBOURS = 8
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VisibleSurface:
-    """First hits of a camera's pixel-centre rays on a mesh.
+    """First hits of a camera's pixel-centre rays on a mesh."""
 
-    Attributes:
-        hit: (H, W) whether the ray meets the mesh.
-        position: (H, W, 3), frame of the mesh; 0 where missed.
-        normal: (H, W, 3), interpolated vertex normals, unit; 0 where missed.
-        uv: (H, W, 2), v upwards; 0 where missed or where the mesh is not unwrapped.
-    """
-
-    hit: Mask
-    position: Array
-    normal: Array
-    uv: Array
+    hit: Mask  # (H, W) whether the ray meets the mesh
+    position: Array  # (H, W, 3), frame of the mesh; 0 where missed
+    normal: Array  # (H, W, 3), interpolated vertex normals, unit; 0 where missed
+    uv: Array  # (H, W, 2), v upwards; 0 where missed or where the mesh is not unwrapped
 
 
 class MeshCaster:

@@ -15,12 +15,12 @@ from robir.maths.tone_power import DISPLAY_POWER
 
 Array = NDArray[np.floating[Any]]
 
+# display codes at which curves are compared: nearly all of a photograph
 CODES = np.linspace(0.05, 0.95, 91)
-"""Display codes at which curves are compared: nearly all of a photograph."""
 
 
+# names of scene.json for curves that are no view transform of Blender, and ours for them
 _MEASURED = {"EMoR mean": "camera"}
-"""Names of scene.json for curves that are no view transform of Blender, and ours for them."""
 
 
 def true_curve(scene: Mapping[str, Any]) -> tone.AbstractToneCurve | None:

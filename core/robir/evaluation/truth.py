@@ -45,67 +45,42 @@ _CAMERAS = {
     "photographs": [{"name": str, "camera_to_world": MATRIX, "has_truth": bool}],
 }  # fmt: skip
 
+# beside the truth of photographs: their cameras in its frame, which need not be the capture's
 PHOTOGRAPHED = "cameras.json"
-"""Beside the truth of photographs: their cameras in its frame, which need not be the capture's."""
-
+# largest EXR file, over all channels; a sky of 8192 columns has a quarter of it
 _MAX_NUMBERS = 400_000_000
-"""Largest EXR file, over all channels; a sky of 8192 columns has a quarter of it."""
-
+# what reading a damaged truth raises
 _DAMAGE = (OSError, ValueError, LookupError, RuntimeError, TypeError, AttributeError, EOFError)
-"""What reading a damaged truth raises."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrueView:
-    """What is known of one view; images are (H, W) or (H, W, 3) float32, row 0 on top.
+    """What is known of one view; images are (H, W) or (H, W, 3) float32, row 0 on top."""
 
-    Attributes:
-        name: File name of the view without suffix, "r_000".
-        camera: Its camera, capture frame.
-        photo_display: Photograph in [0, 1], display-referred, straight.
-        albedo: Linear Rec.709.
-        roughness: Perceptual, 0..1.
-        normal: Unit, world; 0 in the background.
-        position: World position of the surface at the pixel's centre.
-        hit: Bool, whether the pixel-centre ray meets the scene: the foreground.
-        sun_visibility: 1 where the surface faces the sun and sees it.
-    """
-
-    name: str
-    camera: Camera
-    photo_display: Array
-    albedo: Array
-    roughness: Array
-    normal: Array
-    position: Array
-    hit: NDArray[np.bool_]
-    sun_visibility: Array
+    name: str  # file name of the view without suffix, "r_000"
+    camera: Camera  # its camera, capture frame
+    photo_display: Array  # photograph in [0, 1], display-referred, straight
+    albedo: Array  # linear Rec.709
+    roughness: Array  # perceptual, 0..1
+    normal: Array  # unit, world; 0 in the background
+    position: Array  # world position of the surface at the pixel's centre
+    hit: NDArray[np.bool_]  # bool, whether the pixel-centre ray meets the scene: the foreground
+    sun_visibility: Array  # 1 where the surface faces the sun and sees it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Truth:
-    """Ground truth of a rendered capture, in the capture's own frame and unit.
+    """Ground truth of a rendered capture, in the capture's own frame and unit."""
 
-    Attributes:
-        root: The capture folder.
-        scene: Contents of truth/scene.json.
-        views: Test views.
-        environment_linear: (H, 2H, 3) lat-long radiance, with each lamp as one bright texel.
-        sun_direction: (3,) unit, towards the sun.
-        vertices: (Nv, 3) of all render geometry.
-        faces: (Nf, 3).
-        radius: Radius of the scene.
-        cameras: Of photographs, the true one of each by name; else none.
-    """
-
-    root: Path
-    scene: dict[str, Any]
-    views: tuple[TrueView, ...]
-    environment_linear: Array
-    sun_direction: NDArray[np.float64]
-    vertices: Array
-    faces: NDArray[np.int32]
-    radius: float
+    root: Path  # the capture folder
+    scene: dict[str, Any]  # contents of truth/scene.json
+    views: tuple[TrueView, ...]  # test views
+    environment_linear: Array  # (H, 2H, 3) lat-long radiance, with each lamp as one bright texel
+    sun_direction: NDArray[np.float64]  # (3,) unit, towards the sun
+    vertices: Array  # (Nv, 3) of all render geometry
+    faces: NDArray[np.int32]  # (Nf, 3)
+    radius: float  # radius of the scene
+    # of photographs, the true one of each by name; else none
     cameras: dict[str, Camera] = field(default_factory=dict)
 
     @property

@@ -22,27 +22,18 @@ from robir.transport.observe import Observations, observe
 Floats = NDArray[np.float32]
 Picture = NDArray[np.uint8]
 
+# photographs that are blended at a point; the next one's angle is where a weight reaches 0
 NEAREST = 4
-"""Photographs that are blended at a point; the next one's angle is where a weight reaches 0."""
-
-LEAST_ANGLE = 1e-3
-"""Radians below which photographs count as equally near."""
-
-CHUNK = 1 << 15
-"""Points that are blended at a time; memory limits them."""
+LEAST_ANGLE = 1e-3  # radians below which photographs count as equally near
+CHUNK = 1 << 15  # points that are blended at a time; memory limits them
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Warped:
-    """One camera's view of a surface, RGBA codes; alpha is 0 where no photograph shows it.
+    """One camera's view of a surface, RGBA codes; alpha is 0 where no photograph shows it."""
 
-    Attributes:
-        nearest: (H, W, 4), photographs from the most similar directions, blended.
-        mean: (H, W, 4), plain mean of the display values of all that show the point.
-    """
-
-    nearest: Picture
-    mean: Picture
+    nearest: Picture  # (H, W, 4), photographs from the most similar directions, blended
+    mean: Picture  # (H, W, 4), plain mean of the display values of all that show the point
 
 
 def warped_views(

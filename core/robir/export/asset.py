@@ -15,41 +15,32 @@ from robir.jobs.paths import STAGES, JobPaths, write_json
 from robir.jobs.records import read_record
 from robir.settings import read_toml, settings_from_table, table_from_settings
 
-REVISION = 1
-"""Raised when assets come out differently: all are then made again."""
-
+REVISION = 1  # raised when assets come out differently: all are then made again
 Made = Literal["blend", "usd"]
 
+# formats that are made of a finished result where they are asked for; GLB every result has
 MADE: tuple[Made, ...] = get_args(Made)
-"""Formats that are made of a finished result where they are asked for; GLB every result has."""
-
 _MANIFEST = {"fingerprint": str}
 _REPORT = {"trust": {"is_trusted": bool}, "metal_share": float}
 
 _MOST_LETTERS, _MOST_TAGS = 1000, 100
 
+# tag of an object by the least share of its surface that is metal
 _KINDS = ((0.5, "metal"), (0.05, "partly metal"), (0.0, "no metal"))
-"""Tag of an object by the least share of its surface that is metal."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AssetFacts:
-    """What is known of an asset, besides what its result says.
+    """What is known of an asset, besides what its result says."""
 
-    Attributes:
-        author: Who made it.
-        licence: Under which it may be used.
-        tags: Words to find it by.
-        catalogue: Its place in the library, "/" between a catalogue and one in it; empty for none.
-        textures: "packed" into the .blend file, or beside it with a "relative" path.
-        formats: What is made: "blend" for Blender's library, "usd" beside its textures.
-    """
-
-    author: str = ""
-    licence: str = ""
-    tags: tuple[str, ...] = ()
+    author: str = ""  # who made it
+    licence: str = ""  # under which it may be used
+    tags: tuple[str, ...] = ()  # words to find it by
+    # its place in the library, "/" between a catalogue and one in it; empty for none
     catalogue: str = ""
+    # "packed" into the .blend file, or beside it with a "relative" path
     textures: Literal["packed", "relative"] = "packed"
+    # what is made: "blend" for Blender's library, "usd" beside its textures
     formats: tuple[Made, ...] = ("blend",)
 
     def __post_init__(self) -> None:

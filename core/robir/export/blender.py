@@ -31,33 +31,21 @@ _ERRORS: dict[int, type[RobirError]] = {
 _EXECUTABLE = "ROBIR_BLENDER"
 _ADDON = "ROBIR_ADDON"
 _COMMAND = "robir_scene"
-_PATIENCE = 20.0
-"""Seconds that Blender may take to end after its last report."""
-
+_PATIENCE = 20.0  # seconds that Blender may take to end after its last report
+# tells the command that its standard input ends with whoever waits for it, and it then, too
 _FOLLOWED = "ROBIR_FOLLOWED"
-"""Tells the command that its standard input ends with whoever waits for it, and it then, too."""
-
-_THREADS = "OMP_NUM_THREADS"
-"""Tells Blender how many cores there are for it."""
-
+_THREADS = "OMP_NUM_THREADS"  # tells Blender how many cores there are for it
 CURE = "install it with: pip install 'bpy>=4.5,<5.1' (Python 3.11), then run again with --resume"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
-    """What a headless command did.
+    """What a headless command did."""
 
-    Attributes:
-        files: What it wrote.
-        notes: Sentences for the user.
-        wall: Seconds on the clock.
-        cpu: User plus system seconds.
-    """
-
-    files: tuple[Path, ...]
-    notes: tuple[str, ...]
-    wall: float
-    cpu: float
+    files: tuple[Path, ...]  # what it wrote
+    notes: tuple[str, ...]  # sentences for the user
+    wall: float  # seconds on the clock
+    cpu: float  # user plus system seconds
 
 
 def missing_blender() -> str | None:

@@ -25,8 +25,7 @@ from robir.jobs.paths import JobPaths, replacing, write_json
 from robir.jobs.records import NUMBERS
 
 _GROUND = {"normal": NUMBERS, "offset": float}
-_MOST_POINTS = 20_000
-"""Points of the sparse model: splats begin from them."""
+_MOST_POINTS = 20_000  # points of the sparse model: splats begin from them
 
 
 def export_cameras(

@@ -23,13 +23,11 @@ from robir.maths import spherical_gaussian as sg
 
 ROWS = 512
 
+# Widest lobe that is given as a lamp, radians. Behind an edge at distance d a shadow fades over d
+# times the diameter: at 15 degrees over a quarter of the way, and nothing crisp is left that a lamp
+# could keep. A narrow disc and a lobe of the same mean cosine differ by 4 % of the lamp at most
+# anywhere in a straight shadow's border.
 MAX_LAMP_DIAMETER = math.radians(15.0)
-"""Widest lobe that is given as a lamp, radians.
-
-Behind an edge at distance d a shadow fades over d times the diameter: at 15 degrees over a quarter
-of the way, and nothing crisp is left that a lamp could keep. A narrow disc and a lobe of the same
-mean cosine differ by 4 % of the lamp at most anywhere in a straight shadow's border.
-"""
 
 
 def export_light(paths: JobPaths) -> RecoveredLight:

@@ -29,12 +29,9 @@ from robir.transport.observe import spread_views
 
 REVISION = 14
 
+# a map with a hard sun that Blender ships and no capture of ours is lit by
 RELIGHT_ENVIRONMENT = "city"
-"""A map with a hard sun that Blender ships and no capture of ours is lit by."""
-
-RELIT_VIEWS = 2
-"""Most views that are rendered under it."""
-
+RELIT_VIEWS = 2  # most views that are rendered under it
 _RERENDER = "rerender_"
 _RELIT = f"relit_{RELIGHT_ENVIRONMENT}_"
 _LIGHTS = "light_"

@@ -23,38 +23,30 @@ Codes = NDArray[np.uint8]
 _MARGIN_AT_2K = 8
 _METAL = 0.02
 
+# all files that export/textures may hold where there are no tiles
 TEXTURES = (
     "albedo.png", "albedo.exr", "roughness.png", "metallic.png", "normal.png", "coverage.png",
     "uncertainty.png",
 )  # fmt: skip
-"""All files that export/textures may hold where there are no tiles."""
-
+# standard error of log albedo that the brightest code of uncertainty.png stands for
 UNCERTAINTY_AT_255 = 1.0
-"""Standard error of log albedo that the brightest code of uncertainty.png stands for."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Textures:
-    """The asset's textures, row 0 at v = 1, islands grown.
+    """The asset's textures, row 0 at v = 1, islands grown."""
 
-    Attributes:
-        albedo_linear: (T, T, 3), linear Rec.709 in [0, 1].
-        roughness: (T, T), perceptual, in [0, 1].
-        metallic: (T, T) in [0, 1], or None if nothing is metal.
-        coverage: (T, T), share of the training views that saw the texel, in [0, 1].
-        uncertainty: (T, T), one standard error of the natural log of albedo, up to one factor a
-            channel for the whole object.
-        specular: 1 where what is no metal reflects as any paint, F0 = 0.04; 0 where it does not.
-        normal_map: (H, W, 3) codes of the tangent-space normal map that a handed-in mesh brought,
-            green towards larger v, or None.
-    """
-
-    albedo_linear: Array
-    roughness: Array
-    metallic: Array | None
-    coverage: Array
+    albedo_linear: Array  # (T, T, 3), linear Rec.709 in [0, 1]
+    roughness: Array  # (T, T), perceptual, in [0, 1]
+    metallic: Array | None  # (T, T) in [0, 1], or None if nothing is metal
+    coverage: Array  # (T, T), share of the training views that saw the texel, in [0, 1]
+    # (T, T), one standard error of the natural log of albedo, up to one factor a channel for the
+    # whole object
     uncertainty: Array
+    # 1 where what is no metal reflects as any paint, F0 = 0.04; 0 where it does not
     specular: float
+    # (H, W, 3) codes of the tangent-space normal map that a handed-in mesh brought, green towards
+    # larger v, or None
     normal_map: Codes | None = None
 
 

@@ -33,17 +33,11 @@ Array = NDArray[np.floating[Any]]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Part:
-    """Faces with a texture of their own.
+    """Faces with a texture of their own."""
 
-    Attributes:
-        tile: Number of their tile; None where there are no tiles.
-        mesh: Those faces, their texture coordinates in 0..1.
-        textures: For these.
-    """
-
-    tile: int | None
-    mesh: Mesh
-    textures: Textures
+    tile: int | None  # number of their tile; None where there are no tiles
+    mesh: Mesh  # those faces, their texture coordinates in 0..1
+    textures: Textures  # for these
 
 
 def tile_textures(

@@ -23,9 +23,8 @@ _TICKS = {0.25**step: "1" if not step else f"1/{4**step}" for step in range(5, -
     16.0: "16",
 }
 _SIZE = (832, 494)
+# the plot's axes and the whole picture, pixels
 _LEFT, _TOP, _RIGHT, _BOTTOM = 62.0, 40.0, 816.0, 432.0
-"""The plot's axes and the whole picture, pixels."""
-
 _FORM = TONE_CURVE | {
     "candidates": [{
         "family": str, "score": float, "standard_error": (None, float),
@@ -35,8 +34,7 @@ _FORM = TONE_CURVE | {
     "exposure": float,
 }  # fmt: skip
 
-_SCALE = 2
-"""Drawn so much larger and reduced, for smooth lines."""
+_SCALE = 2  # drawn so much larger and reduced, for smooth lines
 
 
 def export_tone_curve(paths: JobPaths) -> dict[str, Any]:

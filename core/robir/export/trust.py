@@ -28,43 +28,29 @@ from robir.transport.observe import spread_views
 
 Array = NDArray[np.floating[Any]]
 
-_MAX_VIEWS = 12
-"""Views that are looked at; more say the same."""
-
-_OUTLINE_SIDE = 400
-"""Longer side of the pictures in which outlines are compared, pixels, at most."""
-
-_UNSURE = 1.0
-"""Pixels on both sides of a mask's outline that may belong to either."""
-
+_MAX_VIEWS = 12  # views that are looked at; more say the same
+_OUTLINE_SIDE = 400  # longer side of the pictures in which outlines are compared, pixels, at most
+_UNSURE = 1.0  # pixels on both sides of a mask's outline that may belong to either
 _OBJECT = 127
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sign:
-    """One number that tells good results from bad.
+    """One number that tells good results from bad."""
 
-    Attributes:
-        limit: Where doubt begins.
-        near: Where a value deserves a look, on the good side of the limit.
-        doubtful: On which side of the limit.
-        reason: What is said to someone who knows no numbers.
-        message: What is said in doubt; `{value}` is the number.
-        cure: What the user can do.
-    """
-
-    limit: float
-    near: float
-    doubtful: Literal["below", "above"]
-    reason: str
-    message: str
-    cure: str
+    limit: float  # where doubt begins
+    near: float  # where a value deserves a look, on the good side of the limit
+    doubtful: Literal["below", "above"]  # on which side of the limit
+    reason: str  # what is said to someone who knows no numbers
+    message: str  # what is said in doubt; `{value}` is the number
+    cure: str  # what the user can do
 
     def is_doubtful(self, value: float, limit: float) -> bool:
         """Whether the value lies on the wrong side of a limit."""
         return value < limit if self.doubtful == "below" else value > limit
 
 
+# what is looked at, by the name in report.json
 SIGNS: dict[str, Sign] = {
     "outline": Sign(
         limit=0.97,
@@ -133,7 +119,6 @@ SIGNS: dict[str, Sign] = {
         cure="pick a matt, bright and evenly lit spot, and check its true colour",
     ),
 }
-"""What is looked at, by the name in report.json."""
 
 
 def quality(

@@ -9,23 +9,15 @@ from typing import Any
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Choice:
-    """What the model is made of in one respect, and why.
+    """What the model is made of in one respect, and why."""
 
-    Attributes:
-        choice: What there was to choose.
-        chosen: What was taken.
-        alternatives: What else there was.
-        why: The rule with its figures, in words.
-        held_out_error: Of what was taken, on data that it was not fitted to, where that decided.
-        cost_seconds: Processor time of the choice, where it was measured.
-    """
-
-    choice: str
-    chosen: str | float
-    alternatives: tuple[str | float, ...]
-    why: str
+    choice: str  # what there was to choose
+    chosen: str | float  # what was taken
+    alternatives: tuple[str | float, ...]  # what else there was
+    why: str  # the rule with its figures, in words
+    # of what was taken, on data that it was not fitted to, where that decided
     held_out_error: float | None = None
-    cost_seconds: float | None = None
+    cost_seconds: float | None = None  # processor time of the choice, where it was measured
 
     def plain(self) -> dict[str, Any]:
         """As JSON has it."""

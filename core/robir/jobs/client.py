@@ -31,14 +31,12 @@ from robir.jobs.records import check, read_record
 from robir.jobs.request import Request
 from robir.jobs.status import Status, read_status
 
+# what `start` raises, each with a sentence for the user
 START_ERRORS = (UsageError, StorageError, DeviceError)
-"""What `start` raises, each with a sentence for the user."""
-
 State = Literal["none", "starting", "running", "done", "failed", "cancelled", "died"]
 
+# longest time between the start of a worker and its lock, unless it is a child of this process
 _STARTING_SECONDS = 120.0
-"""Longest time between the start of a worker and its lock, unless it is a child of this process."""
-
 _LOG_LINES = 30
 _NICENESS = 10
 _FULL_BELOW_BYTES = 1 << 20
@@ -49,35 +47,24 @@ _WORKER = {"started": float, "pid": (None, int), "status_before?": (None, float)
 _RUN = {"warnings?": [{"message": str}]}
 _FAILED = {"kind": str, "message?": str, "exit_code?": int}
 
+# workers that this process started, by result folder
 _children: dict[Path, subprocess.Popen[Any]] = {}
-"""Workers that this process started, by result folder."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Snapshot:
-    """Where a reconstruction stands.
+    """Where a reconstruction stands."""
 
-    Attributes:
-        state: "none" where nothing was ever begun, "died" where the worker ended without a word.
-        stage: Stage at work or last at work; empty before the first.
-        fraction: Share of the run that is done, in [0, 1].
-        message: What is being done, or the sentence that says why it ended.
-        seconds_left: Estimated seconds to the end, or None.
-        metrics: Latest metrics by name.
-        exit_code: Of the ended worker, or None where it is not known.
-        warnings: Sentences about what lowers the result.
-        log: Last lines of the log for people, where the run ended badly.
-    """
-
+    # "none" where nothing was ever begun, "died" where the worker ended without a word
     state: State
-    stage: str = ""
-    fraction: float = 0.0
-    message: str = ""
-    seconds_left: float | None = None
-    metrics: Mapping[str, Any] = field(default_factory=dict)
-    exit_code: int | None = None
-    warnings: tuple[str, ...] = ()
-    log: tuple[str, ...] = ()
+    stage: str = ""  # stage at work or last at work; empty before the first
+    fraction: float = 0.0  # share of the run that is done, in [0, 1]
+    message: str = ""  # what is being done, or the sentence that says why it ended
+    seconds_left: float | None = None  # estimated seconds to the end, or None
+    metrics: Mapping[str, Any] = field(default_factory=dict)  # latest metrics by name
+    exit_code: int | None = None  # of the ended worker, or None where it is not known
+    warnings: tuple[str, ...] = ()  # sentences about what lowers the result
+    log: tuple[str, ...] = ()  # last lines of the log for people, where the run ended badly
 
     @property
     def is_live(self) -> bool:

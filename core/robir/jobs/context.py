@@ -35,24 +35,14 @@ class Reporter(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StageContext(Generic[ConfigT]):
-    """Everything a stage may depend on besides the files of the stages before it.
+    """Everything a stage may depend on besides the files of the stages before it."""
 
-    Attributes:
-        paths: Names of the result folder's files.
-        config: The stage's own configuration.
-        source: Capture as given by the user; read by the capture stage only.
-        masks: Folder of masks given by the user, or None; read by the capture stage only.
-        seed: Seed of every random generator of the stage.
-        device: Torch device, "cpu" or "cuda".
-        reporter: Progress, warnings and the request to stop.
-        mesh: Mesh given by the user, or None; read by the stages capture and geometry.
-    """
-
-    paths: JobPaths
-    config: ConfigT
-    source: Path
-    masks: Path | None
-    seed: int
-    device: str
-    reporter: Reporter
+    paths: JobPaths  # names of the result folder's files
+    config: ConfigT  # the stage's own configuration
+    source: Path  # capture as given by the user; read by the capture stage only
+    masks: Path | None  # folder of masks given by the user, or None; read by the capture stage only
+    seed: int  # seed of every random generator of the stage
+    device: str  # torch device, "cpu" or "cuda"
+    reporter: Reporter  # progress, warnings and the request to stop
+    # mesh given by the user, or None; read by the stages capture and geometry
     mesh: Path | None = None

@@ -22,9 +22,7 @@ from robir.jobs.records import read_record
 
 Format = Literal["glb", "usd", "blend"]
 
-FORMATS: tuple[Format, ...] = get_args(Format)
-"""What a library may offer of each result."""
-
+FORMATS: tuple[Format, ...] = get_args(Format)  # what a library may offer of each result
 _STATE = {
     "fraction": float, "seconds_left": (None, float),
     "captures": [{"name": str, "state": str, "fraction": float, "message": str}],
@@ -33,13 +31,9 @@ _STATE = {
 
 @dataclass(frozen=True, slots=True)
 class LibraryPaths:
-    """Names of a library's files; nothing else may spell them.
+    """Names of a library's files; nothing else may spell them."""
 
-    Attributes:
-        root: The library, LIBRARY on the command line.
-    """
-
-    root: Path
+    root: Path  # the library, LIBRARY on the command line
 
     @property
     def plan(self) -> Path:

@@ -38,8 +38,7 @@ else:
 
 
 _TRIES = 5
-_PAUSE = 0.05
-"""Seconds between tries: `holder` has the lock for a moment when it finds it free."""
+_PAUSE = 0.05  # seconds between tries: `holder` has the lock for a moment when it finds it free
 
 
 def holder(path: Path) -> int | None:

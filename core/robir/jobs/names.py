@@ -14,13 +14,11 @@ import stat
 from collections.abc import Iterable
 from pathlib import Path
 
+# longest name of a file that every usual file system takes, with room for a suffix of ours
 MAX_NAME_BYTES = 240
-"""Longest name of a file that every usual file system takes, with room for a suffix of ours."""
-
 _CONTROL = re.compile("[\0-\x1f\x7f]")
 
-MAX_PATH_BYTES = 4000
-"""Longest path that Linux takes, with room for a file name."""
+MAX_PATH_BYTES = 4000  # longest path that Linux takes, with room for a file name
 
 
 class UnsafeNameError(ValueError):

@@ -20,13 +20,9 @@ STAGES = ("capture", "geometry", "transport", "appearance", "export")
 
 @dataclass(frozen=True, slots=True)
 class JobPaths:
-    """Names of a result folder's files; nothing else may spell them.
+    """Names of a result folder's files; nothing else may spell them."""
 
-    Attributes:
-        root: The result folder, OUT on the command line.
-    """
-
-    root: Path
+    root: Path  # the result folder, OUT on the command line
 
     @property
     def run(self) -> Path:
@@ -271,8 +267,7 @@ class JobPaths:
         return self.root / "report" / "truth.png"
 
 
-UDIM = "<UDIM>"
-"""What stands in a path for the number of any tile, to Blender and to USD."""
+UDIM = "<UDIM>"  # what stands in a path for the number of any tile, to Blender and to USD
 
 
 def of_tile(path: Path, tile: int | str | None) -> Path:

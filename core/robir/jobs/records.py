@@ -17,18 +17,15 @@ from typing import Any
 
 from robir.jobs.names import read_regular
 
-MAX_BYTES = 1 << 26
-"""Largest JSON file of a result that is read; they have a few thousand bytes."""
-
+MAX_BYTES = 1 << 26  # largest JSON file of a result that is read; they have a few thousand bytes
 NUMBERS = [float]
 MATRIX = [NUMBERS]
 
+# a view of capture.json or cameras.json
 CAMERA = {
     "name": str, "split": str, "width": int, "height": int,
     "fx": float, "fy": float, "cx": float, "cy": float, "camera_to_world": MATRIX,
 }  # fmt: skip
-"""A view of capture.json or cameras.json."""
-
 _NAMES = {str: "text", float: "a number", int: "a whole number", bool: "true or false"}
 _NAMES |= {dict: "a table", list: "a list", type(None): "null"}
 

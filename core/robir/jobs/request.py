@@ -10,36 +10,22 @@ from pathlib import Path
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Request:
-    """What to reconstruct; every path is absolute.
+    """What to reconstruct; every path is absolute."""
 
-    Attributes:
-        capture: Folder or file of the capture.
-        out: Result folder; an unfinished one is continued.
-        preset: How much work to do.
-        device: "auto", "cpu" or "cuda".
-        masks: Folder of masks, or None for the capture's own.
-        box: Where the object is if there are no masks, as the setting `capture.box`; empty to look
-            for it.
-        skips_missing: Whether photographs that are not there are done without.
-        left_out: Photographs to do without, as the setting `capture.leave_out`.
-        mesh: Mesh that takes the place of a surface of the engine's, or None.
-        settings: Further items of `--set`.
-        asset: File of what is known of an asset that is to be made, or None for no asset.
-        until: Stage after which the run ends; empty for the last.
-    """
-
-    capture: Path
-    out: Path
-    preset: str = "draft"
-    device: str = "auto"
-    masks: Path | None = None
+    capture: Path  # folder or file of the capture
+    out: Path  # result folder; an unfinished one is continued
+    preset: str = "draft"  # how much work to do
+    device: str = "auto"  # "auto", "cpu" or "cuda"
+    masks: Path | None = None  # folder of masks, or None for the capture's own
+    # where the object is if there are no masks, as the setting `capture.box`; empty to look for it
     box: tuple[float, ...] = ()
-    skips_missing: bool = False
-    left_out: tuple[str, ...] = ()
-    mesh: Path | None = None
-    settings: tuple[str, ...] = ()
+    skips_missing: bool = False  # whether photographs that are not there are done without
+    left_out: tuple[str, ...] = ()  # photographs to do without, as the setting `capture.leave_out`
+    mesh: Path | None = None  # mesh that takes the place of a surface of the engine's, or None
+    settings: tuple[str, ...] = ()  # further items of `--set`
+    # file of what is known of an asset that is to be made, or None for no asset
     asset: Path | None = None
-    until: str = ""
+    until: str = ""  # stage after which the run ends; empty for the last
 
     def words(self) -> list[str]:
         """The command line without the program."""

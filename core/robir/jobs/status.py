@@ -24,28 +24,17 @@ Kind = Literal["started", "skipped", "progress", "metric", "warning", "finished"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Status:
-    """Latest state of a run.
+    """Latest state of a run."""
 
-    Attributes:
-        state: "running" also when the process died; see `heartbeat` and `pid`.
-        stage: Stage at work or last at work; empty before the first.
-        fraction: Share of the whole run that is done, in [0, 1].
-        message: What is being done, or the sentence that says why the run ended.
-        seconds_left: Estimated wall seconds to the end; None while nothing is known.
-        exit_code: What the process exits with; None while it runs.
-        pid: Process that writes this.
-        heartbeat: Unix time of this writing, seconds.
-        metrics: Latest value by name, of the finished stages and of the one at work.
-    """
-
-    state: State
-    stage: str
-    fraction: float
-    message: str
-    seconds_left: float | None
-    exit_code: int | None
-    pid: int
-    heartbeat: float
+    state: State  # "running" also when the process died; see `heartbeat` and `pid`
+    stage: str  # stage at work or last at work; empty before the first
+    fraction: float  # share of the whole run that is done, in [0, 1]
+    message: str  # what is being done, or the sentence that says why the run ended
+    seconds_left: float | None  # estimated wall seconds to the end; None while nothing is known
+    exit_code: int | None  # what the process exits with; None while it runs
+    pid: int  # process that writes this
+    heartbeat: float  # Unix time of this writing, seconds
+    # latest value by name, of the finished stages and of the one at work
     metrics: Mapping[str, Any] = field(default_factory=dict)
 
 

@@ -16,30 +16,19 @@ from robir.workers import use_workers
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Execution:
-    """What a run works with; no part of any fingerprint.
+    """What a run works with; no part of any fingerprint."""
 
-    Attributes:
-        device: Torch device, "cpu" or "cuda".
-        threads: That work side by side, see `robir.workers`.
-    """
-
-    device: str
-    threads: int
+    device: str  # torch device, "cpu" or "cuda"
+    threads: int  # that work side by side, see `robir.workers`
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Machine:
-    """What a device is.
+    """What a device is."""
 
-    Attributes:
-        name: Of the processor or the graphics card.
-        memory_bytes: All its memory; 0 if unknown.
-        free_memory_bytes: What a new process can have of it; 0 if unknown.
-    """
-
-    name: str
-    memory_bytes: int
-    free_memory_bytes: int
+    name: str  # of the processor or the graphics card
+    memory_bytes: int  # all its memory; 0 if unknown
+    free_memory_bytes: int  # what a new process can have of it; 0 if unknown
 
 
 def choose_execution(asked: Literal["cpu", "cuda", "auto"], threads: int | None) -> Execution:

@@ -24,19 +24,16 @@ from robir.errors import (
 )
 
 _FAILING = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG, errno.EIO})
+# how libraries tell of them that raise an error of their own
 _DISK_WORDS = {os.strerror(number).lower(): number for number in _FAILING}
-"""How libraries tell of them that raise an error of their own."""
-
+# how a network drive or a disk that was pulled out is told; not every system knows all
 _AWAY = ("ESTALE", "ETIMEDOUT", "ENOTCONN", "EHOSTDOWN", "ENXIO", "ENODEV")
-"""How a network drive or a disk that was pulled out is told; not every system knows all."""
-
 _DISK_ERRORS = _FAILING | {getattr(errno, name) for name in _AWAY if hasattr(errno, name)}
 
 _FULL_BELOW_BYTES = 1 << 20
 
-_held: list[int] = []
-"""While a stop has to wait: a zero, then the signals that have come."""
-
+_held: list[int] = []  # while a stop has to wait: a zero, then the signals that have come
+# the setting that decides most about each stage's memory
 _MEMORY_CURES = {
     "capture": "capture.max_side",
     "geometry": "geometry.level_cells",
@@ -44,7 +41,6 @@ _MEMORY_CURES = {
     "appearance": "appearance.num_solve_surfels",
     "export": "export.render_max_side",
 }
-"""The setting that decides most about each stage's memory."""
 
 
 def translated(error: BaseException, stage: str, out: Path | None) -> BaseException:

@@ -6,14 +6,11 @@ from __future__ import annotations
 import ctypes
 import sys
 
-_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
-"""Numbers of glibc's settings, see mallopt(3)."""
-
+_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # numbers of glibc's settings, see mallopt(3)
+# freed memory at the end of the heap that is kept: more than the tensors of a step take
 KEPT_BYTES = 1 << 29
-"""Freed memory at the end of the heap that is kept: more than the tensors of a step take."""
-
+# Larger blocks go back at once. Old versions of glibc allow no more than the second.
 LARGEST_KEPT_BYTES = (1 << 28, 32 << 20)
-"""Larger blocks go back at once. Old versions of glibc allow no more than the second."""
 
 
 def keep_freed_memory() -> None:

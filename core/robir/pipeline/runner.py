@@ -44,31 +44,19 @@ _NO_ASSET = "no asset for Blender's library: "
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunRequest:
-    """What the user asked for.
+    """What the user asked for."""
 
-    Attributes:
-        source: Capture.
-        masks: Folder of masks, or None.
-        out: Result folder.
-        preset: Name of the preset the configuration came from.
-        config: Resolved configuration.
-        execution: Device and threads.
-        is_resume: Whether an unfinished or outdated folder may be worked on.
-        mesh: Mesh that takes the place of a surface of our own, or None.
-        asset: What is known of the asset for Blender's library that is to be made, or None.
-        until: Stage after which the run ends; the next one goes on from there.
-    """
-
-    source: Path
-    masks: Path | None
-    out: Path
-    preset: str
-    config: RunConfig
-    execution: Execution
-    is_resume: bool
-    mesh: Path | None = None
+    source: Path  # capture
+    masks: Path | None  # folder of masks, or None
+    out: Path  # result folder
+    preset: str  # name of the preset the configuration came from
+    config: RunConfig  # resolved configuration
+    execution: Execution  # device and threads
+    is_resume: bool  # whether an unfinished or outdated folder may be worked on
+    mesh: Path | None = None  # mesh that takes the place of a surface of our own, or None
+    # what is known of the asset for Blender's library that is to be made, or None
     asset: AssetFacts | None = None
-    until: str = STAGES[-1]
+    until: str = STAGES[-1]  # stage after which the run ends; the next one goes on from there
 
     @property
     def stages(self) -> tuple[str, ...]:

@@ -11,15 +11,10 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Usage:
-    """Clock readings of this process and the children it has waited for.
+    """Clock readings of this process and the children it has waited for."""
 
-    Attributes:
-        wall: Monotonic clock, seconds.
-        cpu: User plus system time, seconds.
-    """
-
-    wall: float
-    cpu: float
+    wall: float  # monotonic clock, seconds
+    cpu: float  # user plus system time, seconds
 
     @classmethod
     def now(cls) -> Usage:

@@ -31,9 +31,7 @@ from robir.jobs.paths import JobPaths, replacing
 
 Picture = NDArray[np.uint8]
 
-CONTACT_SIDE = 160
-"""Side of each of the four pictures of `contact.jpg`, pixels."""
-
+CONTACT_SIDE = 160  # side of each of the four pictures of `contact.jpg`, pixels
 _SIDE = 560  # longer side of a view's picture, pixels: as much as an enlarged one shows
 _MAX_ROWS = 4
 _QUALITY = 86

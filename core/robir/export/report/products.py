@@ -21,51 +21,32 @@ Array = NDArray[np.floating[Any]]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rendering:
-    """What Blender made for the report.
+    """What Blender made for the report."""
 
-    Attributes:
-        rerenders: Cycles pictures of held-out views by name.
-        relit: Cycles pictures under another light by view's name.
-        relit_with: Name of that light.
-        missing: Sentences on what could not be made and how to get it.
-        seconds: "wall" and "cpu" spent in Blender.
-    """
-
+    # Cycles pictures of held-out views by name
     rerenders: dict[str, Path] = field(default_factory=dict)
+    # Cycles pictures under another light by view's name
     relit: dict[str, Path] = field(default_factory=dict)
-    relit_with: str = ""
-    missing: tuple[str, ...] = ()
+    relit_with: str = ""  # name of that light
+    missing: tuple[str, ...] = ()  # sentences on what could not be made and how to get it
+    # "wall" and "cpu" spent in Blender
     seconds: dict[str, float] = field(default_factory=lambda: {"wall": 0.0, "cpu": 0.0})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Products:
-    """What the report shows.
+    """What the report shows."""
 
-    Attributes:
-        capture: The photographs, those under another light left out.
-        mesh: The surface, capture frame.
-        parts: The asset as its GLB file has it.
-        arrays: Textures as the appearance stage left them.
-        light: Recovered light.
-        tone_curve: Contents of export/tone_curve.json.
-        choices: Contents of the choices.json of geometry and appearance.
-        evidence: Contents of the evidence.json of appearance.
-        last_word: Of its last_word.json; None where photographs were not heard.
-        exposure: Contents of the appearance stage's exposure.json.
-        rendering: Blender's part.
-        seconds: "wall" and "cpu" that the export itself has taken so far, asked for at the end.
-    """
-
-    capture: Capture
-    mesh: Mesh
-    parts: tuple[Part, ...]
-    arrays: dict[str, Array]
-    light: RecoveredLight
-    tone_curve: dict[str, Any]
-    choices: list[dict[str, Any]]
-    evidence: list[dict[str, Any]]
-    last_word: dict[str, Any] | None
-    exposure: dict[str, Any]
-    rendering: Rendering
+    capture: Capture  # the photographs, those under another light left out
+    mesh: Mesh  # the surface, capture frame
+    parts: tuple[Part, ...]  # the asset as its GLB file has it
+    arrays: dict[str, Array]  # textures as the appearance stage left them
+    light: RecoveredLight  # recovered light
+    tone_curve: dict[str, Any]  # contents of export/tone_curve.json
+    choices: list[dict[str, Any]]  # contents of the choices.json of geometry and appearance
+    evidence: list[dict[str, Any]]  # contents of the evidence.json of appearance
+    last_word: dict[str, Any] | None  # of its last_word.json; None where photographs were not heard
+    exposure: dict[str, Any]  # contents of the appearance stage's exposure.json
+    rendering: Rendering  # Blender's part
+    # "wall" and "cpu" that the export itself has taken so far, asked for at the end
     seconds: Callable[[], dict[str, float]]

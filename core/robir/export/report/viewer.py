@@ -39,19 +39,12 @@ _ROWS = 64  # of an environment picture; reflections of a page's size need no mo
 
 @dataclass(frozen=True, slots=True)
 class _Lamp:
-    """A round patch of even radiance.
+    """A round patch of even radiance."""
 
-    Attributes:
-        azimuth: Degrees from +X towards +Y.
-        elevation: Degrees.
-        radius: Degrees.
-        radiance: Linear Rec.709.
-    """
-
-    azimuth: float
-    elevation: float
-    radius: float
-    radiance: tuple[float, float, float]
+    azimuth: float  # degrees from +X towards +Y
+    elevation: float  # degrees
+    radius: float  # degrees
+    radiance: tuple[float, float, float]  # linear Rec.709
 
 
 @dataclass(frozen=True, slots=True)
