@@ -11,30 +11,35 @@ from robir.errors import ConfigError
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CaptureConfig:
-    """How photographs are taken in; the defaults are the preset draft."""
+    """How photographs are taken in; the defaults are the preset draft.
 
-    # longer side, in pixels, of what is kept of a photograph about the object, at least 16; what is
-    # larger is averaged down to it, what is smaller stays as it is
+    Attributes:
+        max_side: Longer side, in pixels, of what is kept of a photograph about the object, at
+            least 16; what is larger is averaged down to it, what is smaller stays as it is.
+        held_out_every: Every how many-th view is held out, at least 2; used only if the
+            capture brings no test views of its own.
+        max_held_out: Number of views held out at most, at least 1.
+        held_out_sector: Degrees about the object, seen from above, of which no photograph takes
+            part: those held out then lie outside what was seen, not between it. 0 for none.
+        adjust_cameras: Whether given cameras are moved where points that stand out in the
+            photographs meet better for it.
+        outside: What becomes of photographs and masks that lie outside the capture's folder, by
+            the paths its files hold or by links: "refuse" them, or "take" them.
+        box: Where the object is, for captures without masks: centre x, y, z and sides x, y, z
+            along the axes of the capture's own frame, in its unit; empty to look for it.
+        missing: What becomes of poses whose photograph is missing: "refuse" the capture, or "skip"
+            them.
+        leave_out: Photographs to do without, named as the findings of the check name them.
+    """
+
     max_side: int = 800
-    # every how many-th view is held out, at least 2; used only if the capture brings no test views
-    # of its own
     held_out_every: int = 8
-    max_held_out: int = 8  # number of views held out at most, at least 1
-    # degrees about the object, seen from above, of which no photograph takes part: those held out
-    # then lie outside what was seen, not between it. 0 for none
+    max_held_out: int = 8
     held_out_sector: float = 0.0
-    # whether given cameras are moved where points that stand out in the photographs meet better for
-    # it
     adjust_cameras: bool = True
-    # what becomes of photographs and masks that lie outside the capture's folder, by the paths its
-    # files hold or by links: "refuse" them, or "take" them
     outside: Literal["refuse", "take"] = "refuse"
-    # where the object is, for captures without masks: centre x, y, z and sides x, y, z along the
-    # axes of the capture's own frame, in its unit; empty to look for it
     box: tuple[float, ...] = ()
-    # what becomes of poses whose photograph is missing: "refuse" the capture, or "skip" them
     missing: Literal["refuse", "skip"] = "refuse"
-    # photographs to do without, named as the findings of the check name them
     leave_out: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:

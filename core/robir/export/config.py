@@ -10,14 +10,19 @@ from robir.errors import ConfigError
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExportConfig:
-    """What is rendered for the report; the asset itself has no settings here."""
+    """What is rendered for the report; the asset itself has no settings here.
 
-    # whether Blender is asked for `scene.blend`, re-renders and a relit picture
+    Attributes:
+        renders: Whether Blender is asked for `scene.blend`, re-renders and a relit picture.
+        render_views: Most held-out views that are rendered again in Cycles, far from each other.
+        render_samples: Cycles samples a pixel.
+        render_max_side: Longer side of the rendered pictures, pixels.
+    """
+
     renders: bool = True
-    # most held-out views that are rendered again in Cycles, far from each other
     render_views: int = 8
-    render_samples: int = 64  # Cycles samples a pixel
-    render_max_side: int = 400  # longer side of the rendered pictures, pixels
+    render_samples: int = 64
+    render_max_side: int = 400
 
     def __post_init__(self) -> None:
         """Refuse values the stage cannot work with."""
