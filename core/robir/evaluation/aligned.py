@@ -55,14 +55,9 @@ class Alignment:
 
 
 def truth_of(capture: Path, paths: JobPaths) -> tuple[Truth, Alignment | None]:
-    """The truth of a capture where a result stands, and how it was brought there, if it was.
+    """The truth of a rendered capture where a result stands, and how it was brought there if it was.
 
-    Args:
-        capture: The rendered capture.
-        paths: The result's folder.
-
-    Raises:
-        CaptureError: If there is no truth, or it is of other photographs.
+    `CaptureError` if there is no truth, or it is of other photographs.
     """
     known = load_truth(capture)
     if not known.cameras:
@@ -72,14 +67,9 @@ def truth_of(capture: Path, paths: JobPaths) -> tuple[Truth, Alignment | None]:
 
 
 def align(truth: Truth, views: Sequence[View]) -> Alignment:
-    """The similarity from the truth's frame to that of a result.
+    """The similarity from the frame of the truth of photographs to that of a result's views.
 
-    Args:
-        truth: Of photographs, in its own frame.
-        views: Of the result.
-
-    Raises:
-        CaptureError: If they share too few photographs.
+    `CaptureError` if they share too few photographs.
     """
     found = {v.name: v.camera for v in views if v.name in truth.cameras}
     if len(found) < FEWEST:

@@ -39,22 +39,12 @@ _MAX_CHAMFER_POINTS = 40_000
 
 
 def evaluate(paths: JobPaths, truth: Path, sheet: Path | None = None) -> dict[str, Any]:
-    """Every score of DESIGN section 8 that needs truth.
+    """Every score that needs truth of a result whose appearance stage is done, plain JSON values.
 
-    Args:
-        paths: Result folder whose appearance stage is done.
-        truth: The rendered capture it was made from.
-        sheet: PNG to write the comparison sheet to, or None.
-
-    Returns:
-        Plain JSON values: "scene", "albedo", "photo_as_albedo", "uncertainty", "shadow",
-        "roughness", "normals", "mask_iou", "chamfer" (thousandths of the radius), "light",
-        "tone_curve", "relighting" (None unless the result was relit as the truth was), "views",
-        "alignment" (how the truth of photographs was brought to the result; None of renderings).
-
-    Raises:
-        StorageError: If the result folder lacks a stage.
-        CaptureError: If there is no truth.
+    "scene", those of `image_scores` and `geometry_scores`, "light", "tone_curve", "relighting"
+    (None unless the result was relit as the truth was), "views", "alignment" (how the truth of
+    photographs was brought to the result; None of renderings). The comparison is written to
+    `sheet`, a PNG. `StorageError` if the result lacks a stage, `CaptureError` if there is no truth.
     """
     known, alignment = truth_of(truth, paths)
     capture_file = paths.stage("capture") / "capture.json"
@@ -91,17 +81,12 @@ def evaluate(paths: JobPaths, truth: Path, sheet: Path | None = None) -> dict[st
 
 
 def image_scores(layers: tuple[Layers, ...], truth: Truth) -> dict[str, Any]:
-    """Albedo, its baseline, baked shadows and roughness.
+    """Albedo, its baseline, baked shadows and roughness, of the result as each test view sees it.
 
-    Args:
-        layers: The result as each test view sees it.
-        truth: The same views.
-
-    Returns:
-        "albedo" (PSNRs, scales, "ssim" and "lmse" averaged over views; SSIM is of the sRGB-encoded
-        per-channel least-squares albedo), "photo_as_albedo" (PSNRs of the photograph decoded as
-        sRGB), "uncertainty" (how often its bands hold the truth; None where none is stated),
-        "shadow" (and "shadow_of_photo": the same ratio of the photograph), "roughness".
+    "albedo" (PSNRs, scales, "ssim" and "lmse" averaged over views; SSIM is of the sRGB-encoded
+    per-channel least-squares albedo), "photo_as_albedo" (PSNRs of the photograph decoded as sRGB),
+    "uncertainty" (how often its bands hold the truth; None where none is stated), "shadow" (and
+    "shadow_of_photo": the same ratio of the photograph), "roughness".
     """
     both = [ours.hit & view.hit for ours, view in zip(layers, truth.views, strict=True)]
     photos = [metrics.linear_from_srgb(view.photo_display) for view in truth.views]
@@ -152,16 +137,7 @@ def _uncertainty(
 
 
 def geometry_scores(layers: tuple[Layers, ...], mesh: Mesh, truth: Truth) -> dict[str, Any]:
-    """Normals, mask and Chamfer distance.
-
-    Args:
-        layers: The result as each test view sees it.
-        mesh: The result, capture frame.
-        truth: The same views.
-
-    Returns:
-        "normals", "mask_iou", "chamfer".
-    """
+    """Scores of a mesh in the capture's frame: "normals", "mask_iou" and "chamfer"."""
     views = truth.views
     ours_hit = np.stack([ours.hit for ours in layers])
     true_hit = np.stack([view.hit for view in views])

@@ -80,15 +80,7 @@ def stored_mesh(paths: JobPaths) -> Mesh:
 
 
 def stored_facts(path: Path, form: Any) -> Any:
-    """Contents of a JSON file of a stage.
-
-    Args:
-        path: The file.
-        form: What it has to hold, see `robir.jobs.records`.
-
-    Raises:
-        StorageError: If it is missing or damaged.
-    """
+    """Contents of a stage's JSON file of a form of `robir.jobs.records`, or a `StorageError`."""
     try:
         return read_record(path, form)
     except (OSError, ValueError) as fault:
@@ -96,11 +88,7 @@ def stored_facts(path: Path, form: Any) -> Any:
 
 
 def stored_exposure(path: Path) -> dict[str, Any]:
-    """Contents of the appearance stage's exposure.json.
-
-    Raises:
-        StorageError: If it is missing or damaged.
-    """
+    """Contents of the appearance stage's exposure.json, or a `StorageError`."""
     exposure = stored_facts(path, _EXPOSURE)
     if any(len(row) != 3 for name in _BY_VIEW for row in exposure[name].values()):
         raise StorageError(f"{path} is damaged (not three values); reconstruct with --resume")
@@ -108,15 +96,7 @@ def stored_exposure(path: Path) -> dict[str, Any]:
 
 
 def load_textures(paths: JobPaths, *needed: str) -> dict[str, Array]:
-    """Arrays of the appearance stage's textures.npz by name.
-
-    Args:
-        paths: Result folder.
-        needed: Names that not every method writes, but the caller cannot do without.
-
-    Raises:
-        StorageError: If it is missing or damaged, or lacks something.
-    """
+    """Arrays of the appearance stage's textures.npz by name; a `StorageError` without `needed`."""
     path = paths.stage("appearance") / "textures.npz"
     return stored_arrays(path, _TEXTURES | {name: _TEXTURES[f"{name}?"] for name in needed})
 
@@ -124,14 +104,10 @@ def load_textures(paths: JobPaths, *needed: str) -> dict[str, Array]:
 def view_layers(
     mesh: Mesh, textures: dict[str, Array], cameras: Iterable[Camera], sub_pixels: int = SUB_PIXELS
 ) -> tuple[Layers, ...]:
-    """What each camera sees.
+    """What each camera sees of an unwrapped mesh in the cameras' frame.
 
-    Args:
-        mesh: Unwrapped, in the cameras' frame.
-        textures: "albedo_linear" (T, T, 3), "roughness" (T, T), "inside" (T, T), and "uncertainty"
-            (T, T) where it is stated.
-        cameras: In the mesh's frame.
-        sub_pixels: Rays along either side of a pixel, odd.
+    Textures are "albedo_linear" (T, T, 3), "roughness" (T, T), "inside" (T, T), and "uncertainty"
+    (T, T) where it is stated; `sub_pixels` are rays along either side of a pixel, odd.
     """
     caster = MeshCaster(mesh)
     inside = textures["inside"].astype(bool)

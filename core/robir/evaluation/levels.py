@@ -125,17 +125,12 @@ class Judged:
 
 
 def level_scores(paths: JobPaths, strip: Path | None = None) -> dict[str, Any]:
-    """Score every level that a finished result can show.
+    """Score every level that a finished result can show, as plain JSON values.
 
-    Args:
-        paths: Result folder whose appearance stage is done.
-        strip: PNG to write the pictures of a few views to, or None.
-
-    Returns:
-        Plain JSON values. "views", "seen_share" (of the mask's pixels those that are compared);
-        "chain", by the names of `LEVELS`: "letter", "title", "views", "psnr", "ssim", "gradient",
-        "psnr_whole_mask", and "loss" in dB against the level "against"; None what is not measured.
-        "verdict" is a sentence.
+    "views", "seen_share" (of the mask's pixels those that are compared); "chain", by the names of
+    `LEVELS`: "letter", "title", "views", "psnr", "ssim", "gradient", "psnr_whole_mask", and "loss"
+    in dB against the level "against"; None what is not measured. "verdict" is a sentence. Pictures
+    of a few views are written to `strip`, a PNG.
     """
     exposure, tone_curve = _camera_facts(paths)
     whole = load_settled(paths)
@@ -164,16 +159,10 @@ def _camera_facts(paths: JobPaths) -> tuple[dict[str, Any], dict[str, Any]]:
 def level_pictures(
     paths: JobPaths, known: tuple[Mesh, Exposures], capture: Capture, views: Sequence[View]
 ) -> dict[str, Pictures]:
-    """What each level shows of the views, at their exposure.
+    """What each level shows of the held-out views, at their size and exposure, by level.
 
-    Args:
-        paths: Result folder.
-        known: Its surface, and how all photographs were exposed and lit.
-        capture: Its photographs, those in another light left out, unit frame.
-        views: The held-out ones at the size that is scored.
-
-    Returns:
-        Pictures of the views' size by level; empty where the level is not to be had.
+    `known` is the surface and how all photographs were exposed and lit; the capture is in the unit
+    frame, without photographs in another light. Empty where the level is not to be had.
     """
     mesh, exposures = known
     photographs = [exposures.evened(resize_view(view, SIDE)) for view in capture.train]
@@ -289,15 +278,10 @@ def _table(
 
 
 def view_scores(judged: Judged, picture: Picture) -> dict[str, Any]:
-    """Scores of one level's picture of one view.
+    """Scores of one level's picture (H, W, 4), codes, of one view of that size.
 
-    Args:
-        judged: The photograph and its pixels.
-        picture: (H, W, 4) codes of the same size.
-
-    Returns:
-        "psnr", "ssim", "gradient" (see `metrics.gradient_error`) over the pixels that are
-        compared, and "psnr_whole_mask".
+    "psnr", "ssim", "gradient" (`metrics.gradient_error`) over the pixels that are compared, and
+    "psnr_whole_mask".
     """
     ours = picture[..., :3] / 255.0 * (picture[..., 3:] > 0)
     photo = judged.view.image_display / 255.0
@@ -315,11 +299,7 @@ def _mean(values: Sequence[float | None]) -> float | None:
 
 
 def fault(chain: Mapping[str, Mapping[str, Any]]) -> str:
-    """One sentence that names the stage which loses most.
-
-    Args:
-        chain: As from `level_scores`.
-    """
+    """One sentence that names the stage which loses most, by the chain of `level_scores`."""
     losses = {name: row["loss"] or 0.0 for name, row in chain.items()}
     worst = max(losses, key=lambda name: losses[name])
     if losses[worst] < NOTEWORTHY:
@@ -337,14 +317,9 @@ def fault(chain: Mapping[str, Mapping[str, Any]]) -> str:
 
 
 def strip_rows(judged: Sequence[Judged], pictures: Mapping[str, Pictures]) -> list[Pictures]:
-    """Rows of labelled pictures, one a view: the photograph and what each level shows.
+    """Rows of labelled pictures, one a held-out view: the photograph and what each level shows.
 
-    Args:
-        judged: Held-out views.
-        pictures: By level and view.
-
-    Returns:
-        At most STRIP_VIEWS rows, cut to the object; views with a Cycles picture come first.
+    At most STRIP_VIEWS rows, cut to the object; views with a Cycles picture come first.
     """
     views = tuple(one.view for one in judged)
     rendered = tuple(view for view in views if view.name in pictures["cycles"])

@@ -25,14 +25,7 @@ _HDR_SIZE = re.compile(rb"\n[-+][XY] (\d{1,9}) [-+][XY] (\d{1,9})\n")
 
 
 def refuse_light(path: Path) -> None:
-    """Refuse a map that is no light: damaged, too large, or with numbers that no light has.
-
-    Args:
-        path: .exr or .hdr; other kinds are left to who opens it.
-
-    Raises:
-        UsageError: Says what is wrong.
-    """
+    """Refuse an .exr or .hdr that is damaged, too large or no light, by a `UsageError`."""
     suffix = path.suffix.lower()
     try:
         fault = {".exr": _exr_fault, ".hdr": _hdr_fault}.get(suffix, lambda _: "")(path)

@@ -71,11 +71,7 @@ class RecoveredLight:
 
 
 def load_light(path: Path) -> RecoveredLight:
-    """Read a light.json.
-
-    Raises:
-        StorageError: If it is missing or damaged.
-    """
+    """Read a light.json, or a `StorageError`."""
     try:
         table = read_record(path, _LIGHT)["lobes"]
         if any(len(lobe["axis"]) != 3 or len(lobe["amplitude"]) != 3 for lobe in table):
@@ -101,17 +97,11 @@ def light_scores(
 ) -> dict[str, float | None]:
     """Error of the recovered light.
 
-    Args:
-        light: Recovered.
-        truth_linear: (H, 2H, 3) true lat-long radiance, lamps included, times the exposure: as the
-            tone curve was given it.
-        sun_direction: (3,) true, towards the sun.
-        normals: (N, 3) of what the test views show, unit, world.
-
-    Returns:
-        "strongest_lobe_degrees": angle of the strongest sharp lobe to the sun, None without one;
-        "environment_log_rmse": `metrics.environment_log_rmse` at 64 x 128 texels; "level_log_error"
-        and "hue_log_error": see `level_and_hue`.
+    `truth_linear` (H, 2H, 3) is true lat-long radiance, lamps included, times the exposure, as the
+    tone curve was given it; `sun_direction` (3,) points to the sun; `normals` (N, 3), unit, world,
+    are what the test views show. "strongest_lobe_degrees": angle of the strongest sharp lobe to the
+    sun, None without one; "environment_log_rmse" at 64 x 128 texels; "level_log_error" and
+    "hue_log_error" of `level_and_hue`.
     """
     axis = light.strongest_direction()
     small = resize_local_mean(truth_linear, (_SCORE_ROWS, 2 * _SCORE_ROWS))
@@ -128,18 +118,11 @@ def light_scores(
 def level_and_hue(estimate_linear: Array, truth_linear: Array, normals: Array) -> dict[str, float]:
     """How bright and of which hue the light is that falls on a surface, beside the true one.
 
-    Of both maps the irradiance of unoccluded surfaces is taken and averaged over the normals: what
-    the estimate has too much of here its albedo has too little of.
-
-    Args:
-        estimate_linear: (H, 2H, 3) lat-long radiance.
-        truth_linear: The same of the truth.
-        normals: (N, 3), unit, world; at most some hundreds of them are used.
-
-    Returns:
-        "level_log_error": natural logarithm of the ratio of luminances, above 0 where the estimate
-        is too bright; "hue_log_error": standard deviation over the channels of the logarithms of
-        their ratios, 0 where the hue is right.
+    Of both maps (H, 2H, 3), lat-long radiance, the irradiance of unoccluded surfaces is averaged
+    over normals (N, 3), unit, world, of which some hundreds are used: what the estimate has too
+    much of here its albedo has too little of. "level_log_error": natural logarithm of the ratio of
+    luminances, above 0 where the estimate is too bright; "hue_log_error": standard deviation over
+    the channels of the logarithms of their ratios, 0 where the hue is right.
     """
     ours, true = (_mean_irradiance(image, normals) for image in (estimate_linear, truth_linear))
     return {

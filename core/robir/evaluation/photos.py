@@ -25,16 +25,12 @@ Picture = NDArray[np.uint8]
 
 
 def photo_scores(rerender: Picture, view: View) -> dict[str, float] | None:
-    """PSNR and SSIM of a re-render against the photograph, over the photograph's mask.
+    """PSNR and SSIM of a re-render's display values against the photograph, over its mask.
 
-    Args:
-        rerender: (h, w, 3) or (h, w, 4) display codes of the same view, at any size; where it is
-            transparent it counts as black. The photograph is reduced to its size.
-        view: The photograph; pixels that are wholly object count. Those at the outline hold what
-            lies behind it too, or have colours that were divided by their alpha.
-
-    Returns:
-        {"psnr", "ssim"} of the display values in [0, 1], or None where no pixel is.
+    The re-render (h, w, 3) or (h, w, 4), codes, may have any size; the photograph is reduced to it;
+    what is transparent counts as black. Pixels that are wholly object count: those at the outline
+    hold what lies behind it too, or have colours that were divided by their alpha. None where no
+    pixel is.
     """
     height, width = rerender.shape[:2]
     ours = rerender[..., :3] / 255.0
@@ -58,15 +54,10 @@ def photo_scores(rerender: Picture, view: View) -> dict[str, float] | None:
 def exposed(
     picture: Picture, steps: Sequence[float] | NDArray[np.float64], curve: AbstractToneCurve
 ) -> Picture:
-    """A picture as a camera with another exposure and white balance would show it.
+    """A picture (H, W, 3 or 4), codes, as a camera of another exposure and white balance shows it.
 
-    Args:
-        picture: (H, W, 3) or (H, W, 4) display codes.
-        steps: (3,) or (H, W, 3) by which each channel is brighter, log2.
-        curve: Tone curve that the picture went through.
-
-    Returns:
-        The picture, alpha as it was.
+    `steps` (3,) or (H, W, 3) are stops by which each channel is brighter, `curve` the tone curve
+    that the picture went through; alpha stays.
     """
     display = torch.from_numpy(picture[..., :3].astype(np.float32) / 255)
     linear = curve.linear_from_display(display) * torch.from_numpy(
@@ -93,13 +84,7 @@ class Exposures:
     def of(
         cls, exposure: Mapping[str, Any], tone_curve: Mapping[str, Any], mesh: Mesh
     ) -> Exposures:
-        """What the appearance stage's exposure.json and tone_curve.json hold.
-
-        Args:
-            exposure: Contents of the one.
-            tone_curve: Contents of the other.
-            mesh: The surface, in the frame of the views.
-        """
+        """Of the contents of exposure.json and tone_curve.json; the mesh in the views' frame."""
         return cls(
             steps=exposure["steps"],
             corner_steps=exposure["corner_steps"],

@@ -41,15 +41,10 @@ def relit_picture(paths: JobPaths, view: str) -> Path:
 
 
 def relight_scores(paths: JobPaths, truth: Truth) -> dict[str, Any] | None:
-    """PSNR of relit radiance over the pixels that are wholly object in both.
+    """PSNR of relit radiance over the pixels that are wholly object in result and truth.
 
-    Args:
-        paths: Result folder, relit before.
-        truth: Of the capture.
-
-    Returns:
-        "psnr_srgb" and "psnr_linear" by alignment and "scale", as `metrics.albedo_scores` gives
-        them, radiance clipped to [0, 1]; "views" that were compared. None where nothing was relit.
+    "psnr_srgb" and "psnr_linear" by alignment and "scale", as of `metrics.albedo_scores`, radiance
+    clipped to [0, 1]; "views" that were compared. None where nothing was relit.
     """
     facts = stored_facts(paths.stage("appearance") / "tone_curve.json", TONE_CURVE)
     curve = tone.curve_from_name(facts["family"], facts["parameters"])

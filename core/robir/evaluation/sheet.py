@@ -90,17 +90,10 @@ def thumbnail(picture: Picture, side: int = MAX_SIDE) -> Picture:
 def truth_sheet(
     paths: JobPaths, layers: tuple[Layers, ...], truth: Truth, albedo_scale: Array
 ) -> list[dict[str, Picture]]:
-    """Rows of the comparison with truth: photo, re-render, material and surface.
+    """Rows of the comparison with truth, at most four: photograph, re-render, material and surface.
 
-    Args:
-        paths: Result folder; its own re-renders of held-out views are shown where the view's pose
-            is that of a test view.
-        layers: The result as each test view sees it.
-        truth: The same views.
-        albedo_scale: (3,) factors that bring our albedo to the truth's.
-
-    Returns:
-        At most four rows of label -> picture; the views are evenly chosen.
+    The result's own re-renders are shown where their pose is that of a test view; `albedo_scale`
+    (3,) brings our albedo to the truth's.
     """
     rerenders = _rerenders(paths)
     rows = []
@@ -144,13 +137,7 @@ def _pose_key(camera_to_world: NDArray[np.float64]) -> tuple[float, ...]:
 
 
 def save_sheet(path: Path, rows: Sequence[dict[str, Picture]]) -> None:
-    """Write rows of labelled pictures as one PNG.
-
-    Args:
-        path: File to replace.
-        rows: Label -> (H, W, 3) codes; every row has the same labels. All pictures are shown at
-            the height of the tallest.
-    """
+    """Write rows of labelled pictures (H, W, 3), codes, as one PNG, all as high as the tallest."""
     height = max(picture.shape[0] for row in rows for picture in row.values())
     height = max(height, 160)
     labels = list(rows[0])

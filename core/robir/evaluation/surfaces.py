@@ -38,11 +38,7 @@ class MeshCaster:
     """
 
     def __init__(self, mesh: Mesh) -> None:
-        """Build the acceleration structure.
-
-        Args:
-            mesh: Any frame; the cameras must share it.
-        """
+        """Build the acceleration structure of a mesh in the cameras' frame."""
         self._mesh = mesh
         self.tracer = EmbreeTracer(mesh.vertices, mesh.faces)
 
@@ -76,19 +72,11 @@ class MeshCaster:
 
 
 def surface_distance(points: Array, vertices: Array, faces: NDArray[np.integer[Any]]) -> Array:
-    """Distance of points to a triangle mesh.
+    """Distances (N,) of points (N, 3) to a triangle mesh: vertices (Nv, 3) and faces (Nf, 3).
 
     Exact for the nearest of the candidate triangles, which are those of the 8 nearest surface
-    samples (every corner, centroid and some 200 000 area-weighted points); a nearer triangle
-    can be missed only where many small ones crowd, by less than the samples' spacing.
-
-    Args:
-        points: (N, 3).
-        vertices: (Nv, 3), the same frame.
-        faces: (Nf, 3).
-
-    Returns:
-        (N,), same unit.
+    samples (every corner, centroid and some 200 000 area-weighted points); a nearer triangle can be
+    missed only where many small ones crowd, by less than the samples' spacing.
     """
     # Not above: it takes most of a second to load, and a reconstruction does without it.
     from trimesh.triangles import closest_point
@@ -123,16 +111,8 @@ def chamfer(
 ) -> dict[str, float]:
     """Chamfer distance between what cameras see of two surfaces, in thousandths of the radius.
 
-    Args:
-        visible: (N, 3) points of the estimate that the cameras see.
-        true_visible: (M, 3) points of the truth that the cameras see.
-        mesh: The estimate, same frame.
-        true_mesh: The truth, same frame.
-        radius: Radius of the scene in that frame.
-
-    Returns:
-        "accuracy", mean distance of visible points to the true surface; "completeness", mean
-        distance of truly visible points to the estimate; "chamfer", the mean of the two.
+    "accuracy", mean distance of visible points (N, 3) to the true surface; "completeness", mean
+    distance of truly visible points (M, 3) to the estimate; "chamfer", the mean of the two.
     """
     scale = 1000.0 / radius
     accuracy = scale * surface_distance(visible, true_mesh.vertices, true_mesh.faces).mean()
@@ -145,15 +125,9 @@ def chamfer(
 
 
 def normal_scores(estimate: Array, truth: Array, hit: Mask) -> dict[str, float]:
-    """Angles between estimated and true normals over the true foreground, degrees.
+    """Mean and median angle, degrees, of unit normals (N, 3) over the true foreground.
 
-    Args:
-        estimate: (N, 3), unit.
-        truth: (N, 3), unit.
-        hit: (N,) whether the estimate has a surface there; a miss counts as 90 degrees.
-
-    Returns:
-        {"mean_degrees", "median_degrees"}.
+    Where the estimate has no surface, `hit` (N,) False, 90 degrees count.
     """
     sine = np.linalg.norm(np.cross(estimate, truth), axis=1)
     cosine = np.sum(np.asarray(estimate) * truth, axis=1)

@@ -24,12 +24,11 @@ _MEASURED = {"EMoR mean": "camera"}
 
 
 def true_curve(scene: Mapping[str, Any]) -> tone.AbstractToneCurve | None:
-    """The curve that a scene.json tells of, or None if it is none of ours.
+    """The curve that a scene.json names, or None if it is none of ours.
 
-    Args:
-        scene: With "view_transform", a view transform of Blender or a family of ours,
-            "display_power" where the photographs were re-toned afterwards, and "look" where a look
-            of Blender's came first, which makes it none of ours.
+    "view_transform" is a view transform of Blender or a family of ours, "display_power" is there
+    where the photographs were re-toned afterwards, and "look" where a look of Blender's came first,
+    which makes it none of ours.
     """
     if scene.get("look"):
         return None
@@ -56,15 +55,10 @@ def grey_radiance(curve: tone.AbstractToneCurve) -> Array:
 
 
 def tone_scores(found: Mapping[str, Any], scene: Mapping[str, Any]) -> dict[str, Any]:
-    """Scores of a recovered curve.
+    """Scores of a recovered curve, by the contents of tone_curve.json and the truth's scene.json.
 
-    Args:
-        found: Contents of tone_curve.json.
-        scene: Contents of the truth's scene.json.
-
-    Returns:
-        "family" and "parameters" as recovered, "true_view_transform", "true_display_power", and
-        "stops": how far the curves lie apart, None where the true one is none of ours.
+    "family" and "parameters" as recovered, "true_view_transform", "true_display_power", and
+    "stops": how far the curves lie apart, None where the true one is none of ours.
     """
     truth = true_curve(scene)
     recovered = tone.curve_from_name(found["family"], found["parameters"])

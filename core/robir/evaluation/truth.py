@@ -96,13 +96,9 @@ def has_truth(capture: Path) -> bool:
 
 
 def load_truth(capture: Path) -> Truth:
-    """Read the truth of a capture's test views.
+    """Read the truth of a capture's test views, from truth/ and transforms_test.json.
 
-    Args:
-        capture: Folder that holds transforms_test.json and truth/.
-
-    Raises:
-        CaptureError: If there is no truth or it cannot be read.
+    `CaptureError` if there is none or it cannot be read.
     """
     folder = capture / "truth"
     if not (folder / "scene.json").is_file():
@@ -212,8 +208,7 @@ class TooLargeError(ValueError):
 def read_exr(path: Path, most: int = _MAX_NUMBERS) -> dict[str, Array]:
     """All channels of an EXR file's first part by name, (H, W) float32 each.
 
-    Raises:
-        TooLargeError: If they have more numbers than `most` together.
+    `TooLargeError` if they have more numbers than `most` together.
     """
     with regular(path, MAX_FILE_BYTES), OpenEXR.File(str(path), header_only=True) as opened:
         header = opened.header()
@@ -232,15 +227,9 @@ def _triple(image: dict[str, Array], name: str, axes: str) -> Array:
 def true_environment(
     capture: Path, scene: dict[str, Any], turn: NDArray[np.floating[Any]]
 ) -> Array:
-    """The map as rendered, turned; a lamp's irradiance is put into the texel of its direction.
+    """Lat-long radiance (H, 2H, 3) as rendered, turned from the truth's frame by (3, 3).
 
-    Args:
-        capture: Folder that holds truth/.
-        scene: Contents of scene.json.
-        turn: (3, 3) from the truth's frame to that in which the map is wanted.
-
-    Returns:
-        (H, 2H, 3) lat-long radiance.
+    A lamp's irradiance is put into the texel of its direction.
     """
     image = read_exr(capture / "truth" / "environment.exr")
     linear = np.stack([image[axis] for axis in "RGB"], axis=-1)

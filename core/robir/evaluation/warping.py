@@ -39,16 +39,9 @@ class Warped:
 def warped_views(
     mesh: Mesh, photographs: Sequence[View], cameras: Sequence[Camera], offset: float
 ) -> Iterator[Warped]:
-    """What the photographs say that each camera sees.
+    """What the photographs show at each camera's pixels, by a mesh in the frame of all cameras.
 
-    Args:
-        mesh: The surface, in the frame of all cameras.
-        photographs: With masks; who sees what is as for `observe`.
-        cameras: Other ones.
-        offset: Distance that rays start above the surface.
-
-    Yields:
-        The pictures of each camera.
+    Who sees what is as for `observe`; rays start at `offset` above the surface.
     """
     caster = MeshCaster(mesh)
     seen = [caster.cast(camera) for camera in cameras]
@@ -103,17 +96,12 @@ def _angles(position: Floats, cameras: Floats, eye: NDArray[np.float64]) -> Floa
 
 
 def nearness(angle: Floats) -> Floats:
-    """Weights of photographs by the angle under which they see a point beside the wanted view.
+    """Weights (N, V) of photographs by the angle at which they see a point beside the wanted view.
 
-    The smaller the angle the heavier, and 0 from that of the first photograph that is not among
-    the NEAREST, so that nothing jumps where another one comes in (Buehler et al. 2001,
-    "Unstructured lumigraph rendering").
-
-    Args:
-        angle: (N, V) radians, infinite where a photograph does not show the point.
-
-    Returns:
-        (N, V), of sum 1, or 0 where no photograph shows the point.
+    The smaller the angle the heavier, and 0 from that of the first photograph that is not among the
+    NEAREST, so that nothing jumps where another one comes in (Buehler et al. 2001, "Unstructured
+    lumigraph rendering"). Angles in radians, infinite where a photograph does not show the point;
+    weights sum to 1, or to 0 where none shows it.
     """
     limit = np.full(len(angle), np.inf, np.float32)
     if angle.shape[1] > NEAREST:
