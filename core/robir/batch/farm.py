@@ -61,17 +61,10 @@ class Job:
 
 
 def write_openjd(job: Job, folder: Path) -> Path:
-    """Write a job bundle.
+    """Write a job bundle into a folder.
 
     Its places are parameters, so that a farm may map them; the values beside it start from the
     bundle's own folder.
-
-    Args:
-        job: What is to be done.
-        folder: Where the bundle is made.
-
-    Returns:
-        The folder.
     """
     values = [
         {"name": name, "value": Path(os.path.relpath(place.path, folder.absolute())).as_posix()}
@@ -118,22 +111,12 @@ def _step(step: Step) -> dict[str, Any]:
 
 
 def submit_to_slurm(job: Job, logs: Path) -> list[str]:
-    """Queue each step as an array of jobs, or as one.
+    """Queue each step as an array of jobs, or as one; their numbers. `logs` gets what they print.
 
     Partition, account, time limit and the like are taken from sbatch's own variables, such as
     SBATCH_PARTITION; see `man sbatch`. submitit is not used: it hands functions over as pickles,
-    which hold code.
-
-    Args:
-        job: What is to be done.
-        logs: Folder of what the tasks print.
-
-    Returns:
-        The jobs' numbers, a step each.
-
-    Raises:
-        UsageError: If there are more tasks than an array may have.
-        DeviceError: If Slurm is not there, or refuses.
+    which hold code. `UsageError` if there are more tasks than an array may have, `DeviceError` if
+    Slurm is not there, or refuses.
     """
     if max(max(step.tasks, default=0) for step in job.steps) >= MOST_TASKS:
         raise UsageError(f"Slurm takes {MOST_TASKS} tasks at a time; split the plan")

@@ -72,13 +72,9 @@ class LocalBatch:
     _running: list[Item] = field(default_factory=list)
 
     def run(self, watch: Callable[[], None]) -> None:
-        """Do what is not done yet; returns when all has ended, well or not.
+        """Do what is not done yet until all has ended, well or not; `watch` follows each look.
 
-        Args:
-            watch: Called after each look at what is at work.
-
-        Raises:
-            CancelledError: If it is told to stop; what was at work is ended in good order.
+        `CancelledError` if it is told to stop; what was at work is ended in good order.
         """
         for item in self.items:
             is_live = client.snapshot(item.request.out).is_live

@@ -28,14 +28,9 @@ def absolute(path: str) -> Path:
 
 
 def places(path: str, where: str) -> list[Path]:
-    """The capture of a path, or all folders that it matches.
+    """The capture of a path, or all folders that it matches; a `UsageError` names `where`.
 
-    Args:
-        path: May hold `*`, `?` and `[...]` within names; links match by their last name only.
-        where: What names it, for refusals.
-
-    Raises:
-        UsageError: If there is none, or a path cannot be.
+    It may hold `*`, `?` and `[...]` within names; links match by their last name only.
     """
     where = where or "the command line"
     try:
@@ -55,11 +50,7 @@ def places(path: str, where: str) -> list[Path]:
 
 
 def folder_of_masks(path: str, where: str) -> str:
-    """An absolute path of a folder that is there, or "" for none.
-
-    Raises:
-        UsageError: If it is none.
-    """
+    """An absolute path of a folder that is there, or "" for none; else a `UsageError`."""
     if not path:
         return ""
     place = absolute(path)
@@ -69,16 +60,9 @@ def folder_of_masks(path: str, where: str) -> str:
 
 
 def name_of_result(given: str, place: Path, where: str, paths: LibraryPaths) -> str:
-    """The name of a capture's result folder, good on every system.
+    """The name of a capture's result folder, good on every system; "" takes the capture's own.
 
-    Args:
-        given: As the plan has it; "" for the capture's own.
-        place: The capture.
-        where: What names it, for refusals.
-        paths: The library.
-
-    Raises:
-        UsageError: If there can be no folder of that name.
+    `UsageError` if there can be no folder of that name.
     """
     own = place.stem if place.is_file() else place.name
     name = re.sub(r"[^\w.-]+", "_", unicodedata.normalize("NFC", given or own))

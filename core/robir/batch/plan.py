@@ -49,11 +49,7 @@ class Entry:
     catalogue: str = ""
 
     def config(self) -> RunConfig:
-        """The resolved settings.
-
-        Raises:
-            ConfigError: If an item of `settings` is wrong.
-        """
+        """The resolved settings, or a `ConfigError`."""
         return _resolved(self.preset, self.settings)
 
 
@@ -106,17 +102,12 @@ class Plan:
 
 
 def read_plan(sources: Sequence[str], changes: Mapping[str, Any], paths: LibraryPaths) -> Plan:
-    """What PLAN.toml says, or the captures that are named.
+    """What PLAN.toml says, or the captures that are named, also with `*`.
 
-    Args:
-        sources: One file that ends in .toml; or captures, also with `*`.
-        changes: Values of `Entry` from the command line: they come before the plan's own, but
-            settings are added to its.
-        paths: The library; it is no capture of its own, and its files' names are no result's.
-
-    Raises:
-        ConfigError: If the plan is wrong; names the line.
-        UsageError: If there is no capture, or two have one name, or the library needs that itself.
+    Changes, values of `Entry` from the command line, come before the plan's own, but settings are
+    added to its. The library is no capture of its own, and its files' names are no result's.
+    `ConfigError` if the plan is wrong; `UsageError` if there is no capture, or two have one name,
+    or the library needs that itself.
     """
     if len(sources) == 1 and sources[0].endswith(".toml"):
         tables, options = _tables(Path(sources[0]))
@@ -149,15 +140,9 @@ def keep_plan(plan: Plan, paths: LibraryPaths) -> None:
 
 
 def kept_plan(paths: LibraryPaths, captures: Path | None) -> Plan:
-    """The plan of a library.
+    """The plan of a library, its captures moved to another folder where one is given.
 
-    Args:
-        paths: The library.
-        captures: Where the captures lie, if elsewhere than when the plan was made.
-
-    Raises:
-        UsageError: If it has none.
-        StorageError: If that is damaged.
+    `UsageError` if it has none, `StorageError` if that is damaged.
     """
     try:
         table = dict(read_json(paths.plan))
@@ -181,11 +166,7 @@ def kept_plan(paths: LibraryPaths, captures: Path | None) -> Plan:
 
 
 def parse_size(text: str) -> int:
-    """Bytes of a text such as "8G".
-
-    Raises:
-        ConfigError: If it is none.
-    """
+    """Bytes of a text such as "8G", or a `ConfigError`."""
     size = _SIZE.fullmatch(text.strip())
     if size is None:
         raise ConfigError(f"{text!r} is no size; write it as 8G or 900M")

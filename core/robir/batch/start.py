@@ -42,12 +42,8 @@ _OF_THE_CAPTURE = frozenset(kind.exit_code for kind in (UsageError, CaptureError
 def batch(options: Namespace, program: Sequence[str] | None = None) -> int:
     """Do what is missing of a library, or hand it to a farm; prints where it is.
 
-    Args:
-        options: As parsed by `robir.cli`.
-        program: Words that start the engine instead of this Python's own.
-
-    Returns:
-        The largest exit code of the captures that failed; 0 if none did.
+    Its options are those of `robir.cli`; `program` starts the engine instead of this Python's own.
+    The largest exit code of the captures that failed; 0 if none did.
     """
     paths = LibraryPaths(options.out)
     program = program or (sys.executable, "-P", "-m", "robir")

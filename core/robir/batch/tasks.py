@@ -19,15 +19,11 @@ _PARTS = {"Read": ("capture", "capture"), "Fit": (FIT, FIT), "Finish": ("transpo
 def library_job(
     paths: LibraryPaths, captures: Path, tasks: Sequence[int], memory: int, queue: str | None
 ) -> Job:
-    """The captures that are to be done, and the page after all.
+    """The captures that are to be done, by their numbers in the plan, and the page after all.
 
-    Args:
-        paths: The library.
-        captures: Folder that holds all captures.
-        tasks: Numbers of the captures in the plan that are to be done.
-        memory: Bytes that the most hungry of them needs.
-        queue: None for all stages in one task. Else the fit is a task of its own that asks for a
-            graphics card, on Slurm in the partition of this name; empty for the usual one.
+    `memory` is what the most hungry of them needs, bytes. `queue` is None for all stages in one
+    task. Else the fit is a task of its own that asks for a graphics card, on Slurm in the partition
+    of this name; empty for the usual one.
     """
     root = paths.root.absolute()
     common = ("batch", "--resume", "-o", "{{Param.Library}}", "--captures", "{{Param.Captures}}")

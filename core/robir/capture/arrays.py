@@ -44,17 +44,12 @@ def read_matrix(file: IO[bytes], most: int) -> Array:
 
 
 def stored_arrays(path: Path, form: Mapping[Any, str]) -> dict[str, NDArray[Any]]:
-    """Arrays of a file of a result folder, by name, looked at before their numbers are read.
+    """Arrays of a file of `numpy.savez` by name, looked at before their numbers are read.
 
-    Args:
-        path: What `numpy.savez` wrote.
-        form: For each name the kind of its numbers and its sides, as in "f4 V 3|4": a side is a
-            number, one of several, a letter that means the same number above 0 wherever it stands,
-            "*" for any number or "+" for one above 0. A name that ends in "?" may be missing;
-            `...` means all others. What a form does not name is left out.
-
-    Raises:
-        StorageError: If it is missing, damaged, or holds something else.
+    The form has for each name the kind of its numbers and its sides, as in "f4 V 3|4": a side is a
+    number, one of several, a letter that means the same number above 0 wherever it stands, "*" for
+    any number or "+" for one above 0. A name that ends in "?" may be missing; `...` means all
+    others. What a form does not name is left out. `StorageError` if it holds something else.
     """
     try:
         with regular(path, MAX_STORED_BYTES) as file, np.load(file, allow_pickle=False) as archive:

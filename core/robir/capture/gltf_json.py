@@ -56,8 +56,7 @@ class MeshFaultError(ValueError):
 def opened(content: bytes, *, is_binary: bool) -> tuple[dict[str, Any], bytes]:
     """The JSON of a glTF file, of the form that is read, and the binary chunk of a GLB.
 
-    Raises:
-        MeshFaultError: If it is none.
+    `MeshFaultError` if it is none.
     """
     text, binary = _chunks(content) if is_binary else (content, b"")
     if len(text) > _JSON_BYTES or sum(text.count(sign) for sign in b"{[,") > _MOST_TOKENS:

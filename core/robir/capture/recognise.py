@@ -154,18 +154,11 @@ def read_capture(
 ) -> Capture:
     """Views in the capture's own frame, the object's bounds, and findings without errors.
 
-    Args:
-        source: Folder of the capture, or its file of poses; never written to.
-        masks: Folder of masks that win over the capture's own, or None.
-        config: Settings of the stage.
-        progress: Told how far reading is.
-        workshop: Where missing poses are worked out; None refuses captures without poses.
-        guesses: Folder for the masks where these are guessed, or None to keep no files of them.
-        mesh: Mesh of the object that the user hands in: cuts it out where nothing else can.
-
-    Raises:
-        CaptureError: If the capture cannot be reconstructed; a `CaptureRefusedError` whose findings
-            hold everything that was noticed until then, a `PosedRefusedError` if poses are sound.
+    `source` is never written to. `masks` is a folder that wins over the capture's own. In
+    `workshop` missing poses are worked out; None refuses captures without. `guesses` is where
+    guessed masks are kept, or None. `mesh` is the user's: it cuts the object out where nothing else
+    can. A `CaptureRefusedError` holds everything that was noticed until then; it is a
+    `PosedRefusedError` if poses are sound.
     """
     if workshop is not None and sfm.is_available() and _lacks_poses(source):
         photographs = find_photographs(source) if source.is_dir() else []

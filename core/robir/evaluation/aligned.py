@@ -55,7 +55,7 @@ class Alignment:
 
 
 def truth_of(capture: Path, paths: JobPaths) -> tuple[Truth, Alignment | None]:
-    """The truth of a rendered capture where a result stands, and how it was brought there if it was.
+    """The truth of a rendered capture where a result stands, and how it was brought there, if so.
 
     `CaptureError` if there is no truth, or it is of other photographs.
     """

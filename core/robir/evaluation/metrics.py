@@ -246,7 +246,7 @@ def shadow_ratio(
 
 
 def roughness_scores(estimate: Array, truth: Array) -> dict[str, float]:
-    """Errors of perceptual roughness (N,): "rmse", "mae", and that of the best constant, the mean."""
+    """Errors of perceptual roughness (N,): "rmse", "mae", and that of the best constant."""
     difference = np.asarray(estimate, np.float64) - truth
     return {
         "rmse": float(np.sqrt(np.mean(difference**2))),

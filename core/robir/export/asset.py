@@ -59,11 +59,7 @@ class AssetFacts:
 
 
 def read_facts(path: Path) -> AssetFacts:
-    """What a TOML file says of an asset.
-
-    Raises:
-        ConfigError: If it is missing or says something else.
-    """
+    """What a TOML file says of an asset, or a `ConfigError`."""
     return settings_from_table(AssetFacts, read_toml(path), str(path))
 
 
@@ -96,15 +92,9 @@ def is_current(paths: JobPaths, facts: AssetFacts) -> bool:
 
 
 def make_asset(paths: JobPaths, facts: AssetFacts, progress: Callable[[float, str], None]) -> None:
-    """Write the formats of a finished result that are asked for, the one that takes Blender last.
+    """Write the formats that are asked for of a finished result; the one that takes Blender last.
 
-    Args:
-        paths: The result folder.
-        facts: What else is known of it.
-        progress: As for `robir.export.blender.run_headless`.
-
-    Raises:
-        RobirError: If Blender is missing or cannot make it.
+    `RobirError` if Blender is missing or cannot make it.
     """
     others = tuple(kind for kind in facts.formats if kind != "blend")
     paths.library_facts.unlink(missing_ok=True)

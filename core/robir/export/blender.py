@@ -63,19 +63,11 @@ def missing_blender() -> str | None:
 
 
 def run_headless(arguments: Sequence[str], on_progress: Callable[[float, str], None]) -> Outcome:
-    """Run `python -m robir_addon.headless ARGUMENTS` and follow its progress.
+    """Run `python -m robir_addon.headless ARGUMENTS`; files written, notes and the time it took.
 
-    Args:
-        arguments: Command, result folder and options.
-        on_progress: Called with each fraction in [0, 1] and message; what it raises stops the
-            process and is raised again.
-
-    Returns:
-        Files written, notes and the time it took.
-
-    Raises:
-        DeviceError: If Blender is missing or died.
-        RobirError: With the command's own sentence if it failed, or if it said nothing at all.
+    `on_progress` gets each fraction in [0, 1] and message; what it raises stops the process and is
+    raised again. `DeviceError` if Blender is missing or died; `RobirError` with the command's own
+    sentence if it failed, or if it said nothing at all.
     """
     missing = missing_blender()
     if missing is not None:
@@ -132,9 +124,7 @@ def run_headless(arguments: Sequence[str], on_progress: Callable[[float, str], N
 def _end_of(process: subprocess.Popen[str], *, is_told: bool) -> int:
     """Exit code of a process that has closed its reports; what hangs at its exit is ended.
 
-    Args:
-        process: Blender.
-        is_told: Whether it has said what it wrote: then all is done, however it ends.
+    `is_told` is whether it has said what it wrote: then all is done, however it ends.
     """
     try:
         return process.wait(_PATIENCE)

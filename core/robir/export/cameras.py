@@ -31,13 +31,7 @@ _MOST_POINTS = 20_000  # points of the sparse model: splats begin from them
 def export_cameras(
     paths: JobPaths, capture: Capture, points: NDArray[np.floating] | None = None
 ) -> None:
-    """Write every view with its photograph, bounds and ground, capture frame.
-
-    Args:
-        paths: The result folder.
-        capture: The views.
-        points: Points on the surface, (N, 3), capture frame, or None.
-    """
+    """Write every view with its photograph, bounds and ground, and points (N, 3), capture frame."""
     folder = paths.stage("capture")
     photos = [
         Path(os.path.relpath(view_path(folder, view.name), paths.cameras.parent)).as_posix()

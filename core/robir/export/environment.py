@@ -51,13 +51,11 @@ def export_light(paths: JobPaths) -> RecoveredLight:
 
 
 def sun_lamps(light: RecoveredLight) -> list[dict[str, Any]]:
-    """The sharp lobes that are narrow enough for a Sun lamp.
+    """The sharp lobes that are narrow enough for a Sun lamp, in the order of the lobes.
 
-    Returns:
-        One table a lamp, the order that of the lobes. "lobe": index into the lobes; "direction":
-        unit, world, towards the light; "irradiance": linear Rec.709, of a surface that faces the
-        lamp, radiance times steradian (Blender's strength of a Sun lamp, W/m2); "angular_diameter":
-        of a disc with the lobe's mean cosine, radians.
+    "lobe": index into the lobes; "direction": unit, world, towards the light; "irradiance": linear
+    Rec.709, of a surface that faces the lamp, radiance times steradian (Blender's strength of a Sun
+    lamp, W/m2); "angular_diameter": of a disc with the lobe's mean cosine, radians.
     """
     sharpness = light.lobes.sharpness.double()
     diameter = 4.0 * torch.asin(torch.sqrt(1.0 - sg.mean_cosine(sharpness)))
@@ -89,16 +87,11 @@ def _chosen(light: RecoveredLight, which: NDArray[np.bool_]) -> RecoveredLight:
 
 
 def light_told(evidence: list[dict[str, Any]], of: str) -> list[dict[str, Any]]:
-    """What tells how bright the light is or of which hue, for report.json.
+    """Estimates of how bright the light is ("level") or of its "hue", by evidence.json.
 
-    Args:
-        evidence: Contents of the appearance stage's evidence.json.
-        of: "level" or "hue".
-
-    Returns:
-        A row a witness, then all together, then the paint that the user knows, if any; none where
-        nothing is told: "by"; "times", the light that it tells over that of the last row, or its
-        red over its blue; "within", the factor of one standard deviation.
+    A row an estimate, then all together, then a colour that the user knows, if any: "by"; "times",
+    this light over that of the last row, or its red over its blue; "within", the factor of one
+    standard deviation.
     """
     rows = [row for row in evidence if row["of"] == of]
     base = rows[-1]["value"] if rows and of == "level" else 0.0

@@ -74,18 +74,13 @@ def glb_bytes(
     name: str,
     encode: Callable[[Codes], tuple[bytes, str]] = lambda image: (_png(image), "image/png"),
 ) -> bytes:
-    """A mesh whose parts each have a material of their own, as a glTF binary file.
+    """A mesh whose unwrapped parts each have a material, as a glTF binary file, capture frame.
 
     glTF knows no UDIM tiles: every tile is a primitive of the one mesh, with texture coordinates in
-    0..1 and a material that is named after it and bears its number as "udim" in its extras.
-
-    Args:
-        parts: One or more, unwrapped, in the capture's own frame and unit. Base colour is embedded
-            as an sRGB PNG; roughness and metallic as one linear PNG with roughness in G and
-            metallic in B. Specular other than 1 needs an extension, which viewers that lack it pass
-            over.
-        name: Name of node, mesh and material.
-        encode: Gives a picture's file and its media type.
+    0..1 and a material that is named after it and bears its number as "udim" in its extras. Base
+    colour is an sRGB picture; roughness and metallic are G and B of a linear one. Specular other
+    than 1 needs an extension, which viewers that lack it pass over. `encode` gives a picture's file
+    and its media type.
     """
     buffer = _Buffer()
     primitives: list[dict[str, Any]] = []

@@ -46,14 +46,7 @@ _EVIDENCE = [{"of": str, "by": str, "value": float, "deviation": float}]
 
 
 def run(context: StageContext[ExportConfig]) -> dict[str, Any]:
-    """Write export/, renders/ and report/.
-
-    Args:
-        context: Paths and settings.
-
-    Returns:
-        Counts and scores for the manifest.
-    """
+    """Write export/, renders/ and report/; counts and scores for the manifest."""
     cpu, wall = time.process_time(), time.monotonic()
     paths, report = context.paths, context.reporter
     report.progress(0.0, "reading the reconstruction")

@@ -51,16 +51,10 @@ class Textures:
 
 
 def grown(image: Array, inside: NDArray[np.bool_], margin: int) -> Array:
-    """Continue islands into the empty texels about them.
+    """Continue islands of an image (T, T) or (T, T, C) into the empty texels about them.
 
-    Args:
-        image: (T, T) or (T, T, C).
-        inside: (T, T), texels that hold something.
-        margin: Texels up to which an island grows; each takes the value of the nearest texel
-            inside. What lies further off takes the mean, so that small mip levels keep their tint.
-
-    Returns:
-        A filled copy of the image.
+    Each texel up to the margin takes the value of the nearest one `inside` (T, T). What lies
+    further off takes the mean, so that small mip levels keep their tint.
     """
     if not inside.any():
         return image.copy()
@@ -71,14 +65,9 @@ def grown(image: Array, inside: NDArray[np.bool_], margin: int) -> Array:
 
 
 def finished_textures(arrays: dict[str, Array], num_views: int) -> Textures:
-    """Grow the appearance stage's textures to what is shipped.
+    """Grow the appearance stage's textures to what is shipped; without "specular" it is 1.
 
-    Args:
-        arrays: Contents of the appearance stage's textures.npz; without "specular" it is 1.
-        num_views: Number of training views, the unit of "coverage".
-
-    Returns:
-        Textures of the same size; islands grow by 8 texels, more above 2048 texels a side.
+    Islands grow by 8 texels, more above 2048 texels a side. `num_views` is the unit of "coverage".
     """
     inside = arrays["inside"].astype(bool)
     margin = max(_MARGIN_AT_2K, round(_MARGIN_AT_2K * inside.shape[0] / 2048))
@@ -98,11 +87,7 @@ def finished_textures(arrays: dict[str, Array], num_views: int) -> Textures:
 
 
 def stored_normal_map(path: Path) -> Codes | None:
-    """The normal map (H, W, 3) that the geometry stage kept, or None where it kept none.
-
-    Raises:
-        StorageError: If it is damaged.
-    """
+    """The normal map (H, W, 3) of the geometry stage, or None; a `StorageError` if damaged."""
     if not path.is_file():
         return None
     try:

@@ -43,16 +43,11 @@ class Part:
 def tile_textures(
     arrays: dict[str, Array], tiles: NDArray[np.int32], num_views: int, normal_map: Path
 ) -> tuple[Textures, ...]:
-    """Textures of each tile, islands grown within it only.
+    """Textures of each of the tiles (Nt,), or of the whole atlas; islands grow within a tile only.
 
     What one tile has and another lacks, metal and normal maps, all get: a material reads its files
-    of all tiles by one name.
-
-    Args:
-        arrays: Contents of the appearance stage's textures.npz, of the whole atlas.
-        tiles: (Nt,) their numbers; none for one texture.
-        num_views: Number of training views.
-        normal_map: File of the user's, as it is called where there are no tiles; often absent.
+    of all tiles by one name. `normal_map` is the user's file, as it is called without tiles; often
+    absent.
     """
     made = []
     for index, number in enumerate(tiles.tolist() or [None]):
@@ -104,12 +99,7 @@ def parts_of(mesh: Mesh, textures: Sequence[Textures]) -> Iterator[Part]:
 
 
 def shown_texture(paths: JobPaths, name: str) -> NDArray[np.uint8] | None:
-    """A texture in small; its tiles beside each other, row by row; None where it was not written.
-
-    Args:
-        paths: Result folder.
-        name: As in "albedo".
-    """
+    """A texture such as "albedo" in small, its tiles row by row; None where it was not written."""
     path = paths.textures / f"{name}.png"
     if path.is_file():
         return thumbnail(read_picture(path))

@@ -38,13 +38,10 @@ _SCALE = 2  # drawn so much larger and reduced, for smooth lines
 
 
 def export_tone_curve(paths: JobPaths) -> dict[str, Any]:
-    """Write tone_curve.json, .cube and .png.
+    """Write tone_curve.json, .cube and .png; the JSON's content.
 
     The JSON is the appearance stage's with "samples" added: grey radiance "linear" against the
     "display" code in 0..1.
-
-    Returns:
-        The JSON's content.
     """
     table = stored_facts(paths.stage("appearance") / "tone_curve.json", _FORM)
     curve = tone.curve_from_name(table["family"], table["parameters"])

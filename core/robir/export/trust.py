@@ -128,18 +128,12 @@ def quality(
     rerender: float | None,
     left_open: dict[str, float],
 ) -> dict[str, Any]:
-    """Whether the result is to be trusted.
+    """Whether the result is to be trusted, by the mesh and photographs in the capture frame.
 
-    Args:
-        capture: The photographs.
-        mesh: The surface, capture frame.
-        arrays: Textures as the appearance stage left them.
-        rerender: PSNR of our own re-render of held-out photographs in dB, None without.
-        left_open: What `rivals`, `paint` and `shown` say.
-
-    Returns:
-        "is_trusted"; "signs" by name, each "value", "limit", "doubtful" ("below" or "above");
-        "doubts": sentences, empty for a trusted result; "verdict" as `verdict` gives it.
+    `rerender` is the PSNR of our own re-render of held-out photographs in dB, None without;
+    `left_open` holds what `rivals`, `paint` and `shown` say. "is_trusted"; "signs" by name, each
+    "value", "limit", "doubtful" ("below" or "above"); "doubts": sentences, empty for a trusted
+    result; "verdict" as of `verdict`.
     """
     values = signs(capture, mesh, arrays, rerender) | left_open
     limits = {name: SIGNS[name].limit for name in values}
@@ -160,14 +154,10 @@ def quality(
 
 
 def verdict(values: dict[str, float]) -> dict[str, str]:
-    """The result in one word, with one reason and one remedy.
+    """The result in one word by its signs, with one reason and one remedy.
 
-    Args:
-        values: Signs by name.
-
-    Returns:
-        "word": "Good", "Check this" where a sign is near its limit, or "Doubtful" where one is
-        beyond it; "reason" and "remedy" of the sign that is furthest on the way, empty if good.
+    "word": "Good", "Check this" where a sign is near its limit, or "Doubtful" where one is beyond
+    it; "reason" and "remedy" of the sign that is furthest on the way, empty if good.
     """
     way = {
         name: (value - SIGNS[name].near) / (SIGNS[name].limit - SIGNS[name].near)
@@ -214,11 +204,7 @@ def rivals(candidates: list[dict[str, Any]]) -> dict[str, float]:
 def paint(evidence: list[dict[str, Any]]) -> dict[str, float]:
     """How many standard errors known paint is off all other evidence of the light's level.
 
-    Args:
-        evidence: Contents of the appearance stage's evidence.json.
-
-    Returns:
-        Empty where no paint is known, or nothing else tells.
+    Empty where no paint is known, or nothing else tells.
     """
     rows = {row["by"]: row for row in evidence if row["of"] == "level"}
     if BY_PAINT not in rows or BY_ALL not in rows:
@@ -229,11 +215,7 @@ def paint(evidence: list[dict[str, Any]]) -> dict[str, float]:
 
 
 def shown(last_word: dict[str, Any] | None) -> dict[str, float]:
-    """Share of the surface that is shown worse than by the mean of its photographs.
-
-    Args:
-        last_word: Contents of the appearance stage's last_word.json; None where there is none.
-    """
+    """Share of the surface shown worse than by the mean of its photographs, by last_word.json."""
     return {} if last_word is None else {"shown": float(last_word["unexplained"])}
 
 

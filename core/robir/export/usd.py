@@ -94,15 +94,7 @@ _IMAGES = (
 
 
 def write_usd(paths: JobPaths, facts: Mapping[str, str]) -> None:
-    """Write export/asset.usda of a finished result.
-
-    Args:
-        paths: The result folder.
-        facts: What else the file shall say, text by name.
-
-    Raises:
-        StorageError: If files of the result are missing or damaged.
-    """
+    """Write export/asset.usda of a finished result, with facts by name, or a `StorageError`."""
     mesh = stored_mesh(paths)
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     foot = np.array([0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), low[2]])

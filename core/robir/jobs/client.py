@@ -75,15 +75,10 @@ class Snapshot:
 def start(program: Sequence[str], request: Request, environment: Mapping[str, str]) -> None:
     """Start a worker that goes on when this process ends, and gives way to other work.
 
-    Args:
-        program: Words before those of the request, such as PYTHON -P -m robir.
-        request: What to do.
-        environment: All variables of the worker.
-
-    Raises:
-        UsageError: If the result folder holds other things, or a worker is at work in it.
-        StorageError: If nothing can be written there.
-        DeviceError: If the program cannot be run.
+    `program` is the words before those of the request, such as PYTHON -P -m robir, and
+    `environment` all variables of the worker. `UsageError` if the result folder holds other things
+    or a worker is at work in it, `StorageError` if nothing can be written there, `DeviceError` if
+    the program cannot be run.
     """
     paths = JobPaths(request.out)
     create(paths)
@@ -171,9 +166,7 @@ def request_cancel(root: Path) -> None:
 def stop(root: Path, *, is_forced: bool = False) -> None:
     """End the worker without waiting for its next step.
 
-    Args:
-        root: Result folder.
-        is_forced: Whether to give it no chance to end in good order; its own children go with it.
+    Forced, it gets no chance to end in good order, and its own children go with it.
     """
     child = _children.get(root)
     # The lock names the process that holds it, so no stranger with a used-up number is hit.

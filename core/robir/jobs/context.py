@@ -16,14 +16,9 @@ class Reporter(Protocol):
     """Where a stage says how far it is."""
 
     def progress(self, fraction: float, message: str) -> None:
-        """Report progress of the running stage.
+        """Report the share of the running stage that is done, in [0, 1], and what is being done.
 
-        Args:
-            fraction: Share of the stage's work that is done, in [0, 1].
-            message: What is being done, a few words.
-
-        Raises:
-            CancelledError: If the user asked the run to stop.
+        `CancelledError` if the user asked the run to stop.
         """
 
     def warn(self, message: str) -> None:

@@ -16,11 +16,8 @@ def special_fault(root: Path, names: Iterable[str] | None = None) -> str | None:
     """What is wrong with a folder of ours that holds pipes, devices or links out of it, or None.
 
     A pipe stops who opens it, and what is written by way of a link lands elsewhere. Captures,
-    results and libraries are all asked by this.
-
-    Args:
-        root: Result folder or library.
-        names: What is looked at of what lies directly in it; None for all.
+    results and libraries are all asked by this. `names` are those directly in it that are looked
+    at; None for all.
     """
     home, found = Path(os.path.realpath(root)), [root]
     while found:
@@ -43,11 +40,7 @@ def special_fault(root: Path, names: Iterable[str] | None = None) -> str | None:
 
 
 def refuse_special(root: Path, names: Iterable[str] | None = None) -> None:
-    """Refuse a folder that holds more than files and folders, see `special_fault`.
-
-    Raises:
-        UsageError: Names the first of what does not belong there.
-    """
+    """Refuse a folder (`UsageError`) that holds more than files and folders."""
     if fault := special_fault(root, names):
         raise UsageError(f"{fault}, or give another folder with -o")
 
@@ -55,9 +48,7 @@ def refuse_special(root: Path, names: Iterable[str] | None = None) -> None:
 def create(paths: JobPaths) -> None:
     """Make the result folder, or accept an existing one that is empty or ours.
 
-    Raises:
-        UsageError: If it holds other things, or what `refuse_special` refuses.
-        StorageError: If it cannot be made.
+    `UsageError` if it holds other things, `StorageError` if it cannot be made.
     """
     root = paths.root
     # what may be there before run.json: by its starter, or where that could not be written

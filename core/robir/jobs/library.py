@@ -77,11 +77,7 @@ class LibraryPaths:
         return frozenset(file.name for file in (*files, self.own))
 
     def result(self, name: str) -> JobPaths:
-        """Result folder of a capture.
-
-        Raises:
-            UnsafeNameError: If the name leads elsewhere.
-        """
+        """Result folder of a capture; an `UnsafeNameError` if the name leads elsewhere."""
         return JobPaths(file_in(self.root, name))
 
     def facts(self, name: str) -> Path:
@@ -100,10 +96,9 @@ class LibraryPaths:
 
 
 def refuse_strange(paths: LibraryPaths, results: Iterable[str] = ()) -> None:
-    """Refuse a library whose own files, or results of some names, are links out of it or pipes.
+    """Refuse a library whose own files or named results are links out of it or pipes.
 
-    Raises:
-        UnsafeNameError: Names the first of what does not belong there.
+    An `UnsafeNameError` names the first of what does not belong there.
     """
     if fault := special_fault(paths.root, {*paths.taken, *results}):
         raise UnsafeNameError(fault)
@@ -112,9 +107,7 @@ def refuse_strange(paths: LibraryPaths, results: Iterable[str] = ()) -> None:
 def read_batch(paths: LibraryPaths) -> dict[str, Any]:
     """Where the batch stands: "fraction", "seconds_left" and "captures" in the plan's order.
 
-    Raises:
-        OSError: If there is none.
-        ValueError: If it is damaged; or see `refuse_strange`.
+    `OSError` if there is none, `ValueError` if it is damaged; or see `refuse_strange`.
     """
     refuse_strange(paths)
     return read_record(paths.state, _STATE)
@@ -128,15 +121,9 @@ def start_batch(
 ) -> None:
     """Start a batch that goes on when this process ends; what it says is in its log.
 
-    Args:
-        program: Words before those of the command, such as PYTHON -P -m robir.
-        sources: Captures or a plan, absolute; none goes on with the library's own.
-        paths: The library, absolute.
-        environment: All variables.
-
-    Raises:
-        OSError: If the program cannot be run, or the library cannot be written.
-        UnsafeNameError: See `refuse_strange`.
+    `sources` are captures or a plan, absolute; without any the library's own goes on. `program` and
+    `environment` are as for `client.start`. `OSError` if the program cannot be run, or the library
+    cannot be written; or see `refuse_strange`.
     """
     refuse_strange(paths)
     paths.own.mkdir(parents=True, exist_ok=True)
@@ -163,22 +150,12 @@ def stop_batch(paths: LibraryPaths) -> None:
 
 
 def drop(paths: LibraryPaths, name: str) -> None:
-    """Have the batch leave a capture out.
-
-    Raises:
-        OSError: If that cannot be noted.
-        UnsafeNameError: If the name leads elsewhere, or see `refuse_strange`.
-    """
+    """Have the batch leave a capture out; an `OSError` if that cannot be noted."""
     _touch(paths, paths.dropped, name)
 
 
 def prefer(paths: LibraryPaths, name: str) -> None:
-    """Have a batch on this machine do a capture before all others that wait.
-
-    Raises:
-        OSError: If that cannot be noted.
-        UnsafeNameError: If the name leads elsewhere, or see `refuse_strange`.
-    """
+    """Have a batch here do a capture before all that wait; an `OSError` if that cannot be noted."""
     _touch(paths, paths.preferred, name)
 
 

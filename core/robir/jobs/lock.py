@@ -42,11 +42,7 @@ _PAUSE = 0.05  # seconds between tries: `holder` has the lock for a moment when 
 
 
 def holder(path: Path) -> int | None:
-    """Process that holds a lock file.
-
-    Returns:
-        Its number, 0 where it has not said yet, or None if nobody holds the lock.
-    """
+    """Process that holds a lock file: its number, 0 until it says so, or None for nobody."""
     try:
         try:
             handle = open_regular(path, os.O_RDWR, follows_links=False)
@@ -69,11 +65,7 @@ def holder(path: Path) -> int | None:
 def folder_lock(path: Path) -> Iterator[None]:
     """Hold the lock file for the length of the block, and remove it at the end.
 
-    Args:
-        path: Lock file; its folder exists.
-
-    Raises:
-        UsageError: If another process holds it; names that process. Or if it is a link or a pipe.
+    `UsageError` if another process, which it names, holds it; or if it is a link or a pipe.
     """
     handle = _acquire(path)
     try:

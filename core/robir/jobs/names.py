@@ -26,17 +26,7 @@ class UnsafeNameError(ValueError):
 
 
 def checked_name(name: str) -> str:
-    """A name or path that the operating system can be asked for, wherever it leads.
-
-    Args:
-        name: As a file holds it, "/" or a backslash between folders.
-
-    Returns:
-        The name itself.
-
-    Raises:
-        UnsafeNameError: If it holds characters that no name may have, or is too long.
-    """
+    """A name or path that the system can be asked for, wherever it leads; `UnsafeNameError`."""
     try:
         size = len(name.encode("utf-8"))
     except UnicodeEncodeError:
@@ -53,18 +43,7 @@ def checked_name(name: str) -> str:
 
 
 def file_in(folder: Path, name: str) -> Path:
-    """The file of a name directly in a folder.
-
-    Args:
-        folder: Where it has to lie.
-        name: File name, no path.
-
-    Returns:
-        Its path; whether it exists is not looked at.
-
-    Raises:
-        UnsafeNameError: If the name is none, or would lie elsewhere.
-    """
+    """The file of a name directly in a folder, there or not; `UnsafeNameError` elsewhere."""
     if not isinstance(name, str):
         raise UnsafeNameError(f"a name is {type(name).__name__} instead of text")
     checked_name(name)
@@ -75,30 +54,16 @@ def file_in(folder: Path, name: str) -> Path:
 
 
 def leads_out(path: Path, folders: Iterable[Path]) -> bool:
-    """Whether a path lies in none of some folders, once all links are followed.
-
-    Args:
-        path: What is to be read; it need not exist.
-        folders: Where it may lie.
-    """
+    """Whether a path, there or not, lies in none of some folders once all links are followed."""
     real = os.path.realpath(path)
     homes = (os.path.realpath(folder) for folder in folders)
     return not any(real == home or real.startswith(home.rstrip(os.sep) + os.sep) for home in homes)
 
 
 def open_regular(path: Path, flags: int = os.O_RDONLY, *, follows_links: bool = True) -> int:
-    """Open a file if it is a regular one: no pipe, no device, no folder.
+    """Handle of a regular file for `os.fdopen`: no pipe, no device, no folder, else an `OSError`.
 
-    Args:
-        path: File.
-        flags: How it is opened; one that is to be made may be missing.
-        follows_links: Whether it may be a link.
-
-    Returns:
-        The operating system's handle, for `os.fdopen` or `open`.
-
-    Raises:
-        OSError: If it cannot be opened or is anything else.
+    It may be missing where the flags make it.
     """
     flags |= getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
     flags |= 0 if follows_links else getattr(os, "O_NOFOLLOW", 0)
@@ -120,15 +85,7 @@ def _refuse_irregular(found: os.stat_result, path: Path) -> None:
 
 
 def read_regular(path: Path, most: int) -> bytes:
-    """Contents of a regular file of sane size.
-
-    Args:
-        path: File; links are followed.
-        most: Bytes it may have.
-
-    Raises:
-        OSError: If it cannot be read, is anything else, or is larger.
-    """
+    """Contents of a regular file of up to so many bytes, links followed; else an `OSError`."""
     with os.fdopen(open_regular(path), "rb") as file:
         content = file.read(most + 1)
     if len(content) > most:

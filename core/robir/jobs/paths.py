@@ -224,11 +224,7 @@ class JobPaths:
         return self.renders / f"rerender_{view}.png"
 
     def light_picture(self, light: str) -> Path:
-        """Small Cycles picture of the asset under a light; absent where none was rendered.
-
-        Args:
-            light: Stem of an environment's file, or "" for the recovered light.
-        """
+        """Small Cycles picture under a light, by its file's stem or "" for the recovered one."""
         return self.renders / f"light_{light or 'recovered'}.png"
 
     @property
@@ -273,9 +269,7 @@ UDIM = "<UDIM>"  # what stands in a path for the number of any tile, to Blender 
 def of_tile(path: Path, tile: int | str | None) -> Path:
     """The file of one UDIM tile: albedo.png of tile 1002 is albedo.1002.png.
 
-    Args:
-        path: As it is called where there are no tiles.
-        tile: Its number, or `UDIM` for the name of all, or None where there are none.
+    `UDIM` stands for all tiles; without any the path stays.
     """
     return path if tile is None else path.with_name(f"{path.stem}.{tile}{path.suffix}")
 
@@ -287,11 +281,7 @@ def tiles_there(path: Path) -> list[int]:
 
 
 def files_of(path: Path) -> list[Path]:
-    """The files that a path stands for: itself, or those of its tiles where it names all of them.
-
-    Args:
-        path: As `of_tile` gives it.
-    """
+    """The files that a path of `of_tile` stands for: itself, or those of its tiles."""
     mark = f".{UDIM}{path.suffix}"
     if not path.name.endswith(mark):
         return [path]
@@ -301,16 +291,10 @@ def files_of(path: Path) -> list[Path]:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A temporary path beside `path` that replaces it if the block ends well.
+    """A temporary path beside `path`, of the same suffix, that replaces it if the block ends well.
 
-    The file is flushed to disk before the exchange, so a killed process leaves either the old
-    file or the new one, never half of one.
-
-    Args:
-        path: File to write.
-
-    Yields:
-        Path to write to; same suffix, same folder.
+    The file is flushed to disk before the exchange, so a killed process leaves either the old file
+    or the new one, never half of one.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
@@ -327,15 +311,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Write a JSON file as a whole, readable by a person; NaN is refused.
-
-    Args:
-        path: File to replace.
-        value: Plain dictionaries, lists, strings, numbers, booleans and None.
-
-    Raises:
-        QualityError: If a number is not finite.
-    """
+    """Write plain values as a whole JSON file; a `QualityError` if a number is not finite."""
     try:
         text = json.dumps(value, indent=2, allow_nan=False, ensure_ascii=False)
     except ValueError as error:
@@ -348,10 +324,5 @@ def write_json(path: Path, value: Any) -> None:
 
 
 def read_json(path: Path) -> Any:
-    """Read a JSON file written by `write_json`; `robir.jobs.records` says what it has to hold.
-
-    Raises:
-        OSError: If it cannot be read or is no regular file.
-        ValueError: If it is damaged.
-    """
+    """Read a JSON file of `write_json`; an `OSError` or `ValueError` as of `read_record`."""
     return read_record(path, Any)

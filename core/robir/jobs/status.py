@@ -41,9 +41,7 @@ class Status:
 def read_status(path: Path) -> Status:
     """Read what `StatusWriter` wrote, also one of another version.
 
-    Raises:
-        OSError: If there is none.
-        ValueError: If it is damaged.
+    `OSError` if there is none, `ValueError` if it is damaged.
     """
     plain = read_record(path, _FORM)
     if plain["state"] not in get_args(State):
@@ -85,16 +83,7 @@ class StatusWriter:
         write_json(self._paths.status, asdict(status))
 
     def event(self, kind: Kind, stage: str, **facts: Any) -> dict[str, Any]:
-        """Append one line to `events.jsonl`.
-
-        Args:
-            kind: What happened.
-            stage: Stage it happened in; empty for the run as a whole.
-            **facts: Plain values that belong to it; they may not be named time, kind or stage.
-
-        Returns:
-            The event as written.
-        """
+        """Append one line to `events.jsonl`; the stage is "" for the run as a whole."""
         event = {"time": round(time.time(), 3), "kind": kind, "stage": stage, **facts}
         line = json.dumps(event, ensure_ascii=False) + "\n"
         with self._paths.events.open("a", encoding="utf-8") as file:

@@ -32,18 +32,12 @@ class Machine:
 
 
 def choose_execution(asked: Literal["cpu", "cuda", "auto"], threads: int | None) -> Execution:
-    """The device to work on; also sets the number of threads.
+    """The device to work on; also sets the number of threads, None for all cores there are.
 
     An operation of torch has one thread, whatever their number: sums split over threads come out
     otherwise, and operations of a fit are so short that waking a second one costs more than it
-    saves.
-
-    Args:
-        asked: "auto" takes a CUDA device where there is one.
-        threads: That work side by side; None takes all cores there are.
-
-    Raises:
-        DeviceError: If CUDA is asked for and there is none.
+    saves. "auto" takes a CUDA device where there is one; `DeviceError` if it is asked for and there
+    is none.
     """
     import torch
 

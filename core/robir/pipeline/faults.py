@@ -44,15 +44,9 @@ _MEMORY_CURES = {
 
 
 def translated(error: BaseException, stage: str, out: Path | None) -> BaseException:
-    """The error as a sentence for the user where it is not a fault of the program.
+    """The error as a RobirError with a sentence for the user, or itself where it is a bug.
 
-    Args:
-        error: What ended the run.
-        stage: Stage at work.
-        out: Result folder; None where there is none.
-
-    Returns:
-        A RobirError, or the error itself where it is a bug.
+    `stage` was at work; `out` is the result folder, None where there is none.
     """
     if isinstance(error, RobirError):
         return error
@@ -91,11 +85,7 @@ def _barred(path: Path) -> Path:
 
 
 def refuse_nan(stage: str, metrics: Mapping[str, Any], folder: Path) -> None:
-    """Stop where a stage ended with numbers that are none.
-
-    Raises:
-        QualityError: If a metric is not finite, or an array of the stage holds a NaN.
-    """
+    """Refuse metrics that are not finite, and arrays with a NaN, by a `QualityError`."""
     import numpy as np
 
     broken = [

@@ -29,8 +29,7 @@ def is_capture_file(path: Path) -> bool:
 def file_hash(path: Path) -> str:
     """SHA-256 of a regular file's contents, 64 hex digits.
 
-    Raises:
-        OSError: If it cannot be read; names the file, which a bad block alone does not.
+    An `OSError` names the file, which a bad block alone does not.
     """
     with os.fdopen(open_regular(path), "rb") as file:
         try:
@@ -40,11 +39,7 @@ def file_hash(path: Path) -> str:
 
 
 def mesh_fingerprint(mesh: Path | None) -> str:
-    """SHA-256 of the files of a mesh that the user hands in; empty without one.
-
-    Raises:
-        CaptureError: If it does not exist or cannot be read.
-    """
+    """SHA-256 of the files of the user's mesh, "" without one; else a `CaptureError`."""
     if mesh is None:
         return ""
     if not mesh.is_file():
@@ -58,17 +53,11 @@ def mesh_fingerprint(mesh: Path | None) -> str:
 def capture_fingerprint(
     source: Path, masks: Path | None, out: Path, follows_links: bool = False
 ) -> str:
-    """SHA-256 of the names and contents of all files a capture may consist of.
+    """SHA-256 of the names and contents of all files a capture may consist of, masks included.
 
-    Args:
-        source: Capture folder, or a file in it.
-        masks: Folder of masks, or None.
-        out: Result folder; left out where it lies inside the capture.
-        follows_links: Whether links out of the capture's folder are followed, as the setting
-            `capture.outside` says.
-
-    Raises:
-        CaptureError: If the capture or the masks do not exist or cannot be read.
+    The result folder is left out where it lies inside; links out of the capture's folder are
+    followed as `capture.outside` says. `CaptureError` if something does not exist or cannot be
+    read.
     """
     for name, path in (("capture", source), ("masks folder", masks)):
         if path is not None and not path.exists():

@@ -49,11 +49,7 @@ def stage_fingerprints(
 ) -> dict[str, str]:
     """Fingerprint of each stage: settings, constants, seed, revision and all that came before it.
 
-    Args:
-        config: The resolved configuration.
-        revisions: REVISION of each stage's module.
-        capture: Fingerprint of the capture's contents.
-        mesh: That of the mesh the user hands in; empty without one.
+    `capture` and `mesh` are those of the contents; that of the mesh is empty without one.
     """
     result: dict[str, str] = {}
     upstream = fingerprint(capture, mesh) if mesh else capture
@@ -95,10 +91,9 @@ def write_manifest(paths: JobPaths, stage: str, facts: Mapping[str, Any]) -> Non
 
 
 def judged(paths: JobPaths) -> QualityError | None:
-    """What the program's own quality check has against a result, or None.
+    """What the program's own quality check has against a whole result, or None.
 
-    The folder is whole all the same: the export stage notes the verdict in its manifest. Before
-    that stage there is none.
+    The export stage notes the verdict in its manifest. Before that stage there is none.
     """
     if not paths.manifest(STAGES[-1]).exists():
         return None
@@ -111,8 +106,7 @@ def judged(paths: JobPaths) -> QualityError | None:
 def clear_for_rerun(paths: JobPaths, stage: str, state: StageState) -> None:
     """Make room for a stage that has to run: stale results are kept aside, halves go.
 
-    Raises:
-        StorageError: If files cannot be moved or removed.
+    `StorageError` if files cannot be moved or removed.
     """
     renders = [paths.renders] if stage == STAGES[-1] else []
     # The stage's own folder goes last: as long as its manifest is there, the stage is stale.

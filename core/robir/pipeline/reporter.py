@@ -30,26 +30,14 @@ class Display(Protocol):
     """Something that shows a run while it goes on: a terminal, a log, a pipe."""
 
     def event(self, event: dict[str, Any], fraction: float, seconds_left: float | None) -> None:
-        """Show one event.
-
-        Args:
-            event: As in `events.jsonl`; "progress" events come as often as the stage reports.
-            fraction: Share of the whole run that is done, in [0, 1].
-            seconds_left: Estimated wall seconds to the end, or None.
-        """
+        """Show an event of `events.jsonl`, the run's share in [0, 1] and its seconds left."""
 
 
 class RunReporter:
     """The reporter handed to every stage of one run."""
 
     def __init__(self, paths: JobPaths, display: Display, pending: Sequence[str]) -> None:
-        """Begin to count time.
-
-        Args:
-            paths: The result folder, which exists.
-            display: Who watches.
-            pending: Stages that will run; the others count as done.
-        """
+        """Begin to count time; stages that are not pending count as done."""
         self._warnings: list[dict[str, str]] = []
         self._metrics = _known_metrics(paths, pending)
         self._paths = paths
@@ -121,12 +109,7 @@ class RunReporter:
         self._emit("metric", name=name, value=value)
 
     def finish(self, message: str, exit_code: int = 0) -> None:
-        """The run has come to its end, with a whole result.
-
-        Args:
-            message: What is shown.
-            exit_code: Not 0 where the result failed the program's own quality check.
-        """
+        """The run is over; `exit_code` is 0 unless the result failed the quality check."""
         self._done = 1.0
         self._stage = ""
         self._write_status("done", 1.0, message, exit_code=exit_code)

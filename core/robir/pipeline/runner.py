@@ -78,22 +78,11 @@ def load_stages() -> dict[str, StageModule]:
 def reconstruct(
     request: RunRequest, display: Display, stages: Mapping[str, StageModule]
 ) -> JobPaths:
-    """Bring a result folder to the state the request asks for.
+    """Bring a result folder to the state the request asks for, finished up to `until`.
 
     A folder that is there already is left alone. Whatever ends the run early leaves a folder that
-    `is_resume` continues.
-
-    Args:
-        request: What to do.
-        display: Who watches.
-        stages: Module of each stage, as from `load_stages`.
-
-    Returns:
-        The folder, finished up to `until`; `robir.pipeline.ledger.judged` says whether a whole
-        result passed the quality check.
-
-    Raises:
-        RobirError: With a sentence for the user; see `robir.errors` for the kinds.
+    `is_resume` continues. `judged` says whether a whole result passed the quality check.
+    `RobirError` with a sentence for the user.
     """
     paths = JobPaths(request.out)
     follows_links = request.config.capture.outside == "take"

@@ -67,14 +67,10 @@ def read_view(
     max_side: int,
     exposure: float = 1.0,
 ) -> Reading:
-    """Read a photograph and its mask.
+    """Read a photograph, whose pose is without fault, and its mask, for what the split says.
 
-    Args:
-        frame: The photograph with its pose, which is without fault.
-        split: What the view is for.
-        given: Its mask or the mask's file, which win over the format's own and over alpha; or None.
-        max_side: Longer side that is kept of what shows the object, pixels.
-        exposure: Factor on the values of a linear photograph.
+    `given` is its mask or the mask's file, which win over the format's own and over alpha; or None.
+    Of what shows the object `max_side` pixels are kept; linear values are multiplied by `exposure`.
     """
     with open_photo(frame.image, frame.lens.size, frame.is_upright) as stored:
         size = stored.size

@@ -65,14 +65,9 @@ def register(source: Path, work: Path, seed: int, progress: Progress) -> FrameSe
     """Posed frames of the photographs themselves, in COLMAP's frame and unit, with sparse points.
 
     Photographs that could not be placed are named in a finding. Where none can be, the findings of
-    the refusal say what to shoot differently.
-
-    Args:
-        source: Folder of photographs, or a video; never written to.
-        work: Folder of this room alone. What a stopped call left there is used if it belongs to
-            the same files and seed; else it is cleared.
-        seed: Seed of all robust estimators.
-        progress: Told what is being done.
+    the refusal say what to shoot differently. `source`, photographs or a video, is never written
+    to. What a stopped call left in `work` is used if it belongs to the same files and seed; else it
+    is cleared.
     """
     return _Registration(source, work, seed, progress).run()
 

@@ -42,17 +42,10 @@ def frame_set(
     findings: Sequence[Finding] = (),
     points: Array | None = None,
 ) -> FrameSet:
-    """Find the photographs that cameras name, and name the frames.
+    """Find the photographs that cameras name, and name the frames; points (N, 3) are sparse.
 
     Photographs whose place is stated are looked for by name if none of them is there, as for a file
     from another machine.
-
-    Args:
-        path: File of poses.
-        form: Name of the format.
-        shots: Its cameras.
-        findings: What the reader noticed.
-        points: Sparse points, (N, 3), capture frame, or None.
     """
     if not shots:
         message = f"{path} holds no camera with a pose"

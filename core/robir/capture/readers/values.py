@@ -49,16 +49,9 @@ def checked(
     code: str = "bad-value",
     is_text: bool = False,
 ) -> T:
-    """A value of a file, if it is of the expected kind, or a refusal.
+    """A value of a file of the type that msgspec is told, or a refusal with code and cure.
 
-    Args:
-        path: File it comes from.
-        plain: As read: dictionaries, lists, text, numbers.
-        kind: Type that is expected, as msgspec knows it.
-        cure: What to do if it is not.
-        where: Place in the file; empty for the whole of it.
-        code: Code of the refusal.
-        is_text: Whether the file writes numbers as text.
+    `where` is its place in the file, empty for the whole of it; `is_text` that numbers are text.
     """
     try:
         return msgspec.convert(plain, kind, strict=not is_text)

@@ -90,18 +90,11 @@ def report_numbers(paths: JobPaths, products: Products, own: dict[str, Picture])
 
 
 def exposure_summary(exposure: dict[str, Any]) -> dict[str, Any]:
-    """How photographs were exposed, for report.json.
+    """How photographs were exposed, for report.json, by the contents of exposure.json.
 
-    Args:
-        exposure: "steps" (log2) of each channel by the view's name, empty where all are alike, and
-            "corner_steps" by which the corners of all are darker than the middle, and
-            "other_light", names of the photographs that were left out for it; "slope_steps" of
-            each where they are in lights of their own.
-
-    Returns:
-        "is_even"; "own_lights"; "other_light"; "spread_steps", standard deviation of the exposures;
-        "views" by name, brightest first, each with its "exposure" (mean of the channels) and the
-        "white_balance" of red and blue against green, in steps; "corner_steps".
+    "is_even"; "own_lights"; "other_light"; "spread_steps", standard deviation of the exposures in
+    stops; "views" by name, brightest first, each with its "exposure" (mean of the channels) and the
+    "white_balance" of red and blue against green, in stops; "corner_steps".
     """
     views = {
         name: {

@@ -41,11 +41,7 @@ _ALLOWED = "HASHES"
 
 
 def write_report(paths: JobPaths, products: Products) -> dict[str, Any]:
-    """Write report/index.html, report/report.json and report/contact.jpg.
-
-    Returns:
-        The JSON's content.
-    """
+    """Write report/index.html, report/report.json and report/contact.jpg; the JSON's content."""
     views = products.capture.held_out or products.capture.train
     own = own_rerenders(paths)
     shown = shown_views(views, products.rendering)
@@ -116,12 +112,7 @@ def _size(count: int) -> str:
 
 
 def show_levels(paths: JobPaths, levels: dict[str, Any]) -> None:
-    """Put the levels' table and pictures into a report that is there already.
-
-    Args:
-        paths: Result folder; without a report nothing happens.
-        levels: As `robir.evaluation.levels.level_scores` gives them.
-    """
+    """Put the table and pictures of `level_scores` into a report that is there already, if any."""
     if not paths.report.is_file():
         return
     section = page_template("robir.export", "levels.html").render(
