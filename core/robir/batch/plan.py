@@ -125,9 +125,7 @@ def read_plan(sources: Sequence[str], changes: Mapping[str, Any], paths: Library
     files += [Path(entry.masks) for _, entry in found if entry.masks]
     root = Path(os.path.commonpath(files))
     return Plan(
-        captures=root,
-        entries=tuple(_from(root, entry) for _, entry in found),
-        options=options,
+        captures=root, entries=tuple(_from(root, entry) for _, entry in found), options=options
     )
 
 

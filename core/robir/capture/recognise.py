@@ -12,12 +12,7 @@ from typing import Literal
 
 from robir.capture.capture import Capture, Finding, Split
 from robir.capture.checks.coverage import check_coverage
-from robir.capture.checks.findings import (
-    check_masks,
-    check_photographs,
-    check_place,
-    place_object,
-)
+from robir.capture.checks.findings import check_masks, check_photographs, check_place, place_object
 from robir.capture.checks.frame_checks import check_count, check_frames
 from robir.capture.checks.sharpness import check_sharpness
 from robir.capture.checks.turns import prepared

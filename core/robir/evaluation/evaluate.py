@@ -107,11 +107,7 @@ def image_scores(layers: tuple[Layers, ...], truth: Truth) -> dict[str, Any]:
     in_sun, in_shadow = (np.stack([region[i] for region in regions]) for i in (0, 1))
     stacked = np.stack([view.albedo for view in truth.views])
     return {
-        "albedo": {
-            **albedo,
-            "ssim": _mean(ssim),
-            "lmse": _mean(lmse),
-        },
+        "albedo": {**albedo, "ssim": _mean(ssim), "lmse": _mean(lmse)},
         "uncertainty": _uncertainty(layers, both, true_albedo),
         "photo_as_albedo": metrics.albedo_scores(_pooled(photos, both), true_albedo),
         "shadow": metrics.shadow_ratio(

@@ -62,11 +62,7 @@ class Level:
 # the chain, in order
 LEVELS = (
     Level(
-        name="hull",
-        letter="a",
-        title="nearest photographs on the visual hull",
-        stage="",
-        reason="",
+        name="hull", letter="a", title="nearest photographs on the visual hull", stage="", reason=""
     ),
     Level(
         name="field",

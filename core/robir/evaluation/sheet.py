@@ -143,10 +143,7 @@ def save_sheet(path: Path, rows: Sequence[dict[str, Picture]]) -> None:
     labels = list(rows[0])
     tiles = [[_to_height(row[label], height) for label in labels] for row in rows]
     widths = [max(line[i].width for line in tiles) for i in range(len(labels))]
-    size = (
-        sum(widths) + _GAP * (len(widths) + 1),
-        _LABEL_HEIGHT + len(rows) * (height + _GAP),
-    )
+    size = (sum(widths) + _GAP * (len(widths) + 1), _LABEL_HEIGHT + len(rows) * (height + _GAP))
     sheet = Image.new("RGB", size, (BACKGROUND,) * 3)
     draw = ImageDraw.Draw(sheet)
     x = _GAP

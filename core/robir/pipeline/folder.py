@@ -17,12 +17,7 @@ from robir.errors import ConfigError, StorageError, UsageError
 from robir.jobs.paths import JobPaths
 from robir.jobs.records import read_record
 from robir.pipeline.device import Execution
-from robir.settings import (
-    changed_settings,
-    read_toml,
-    settings_from_table,
-    table_from_settings,
-)
+from robir.settings import changed_settings, read_toml, settings_from_table, table_from_settings
 
 _RUN = {
     "state": str, "preset": str,
@@ -53,11 +48,7 @@ def read_config(paths: JobPaths) -> RunConfig:
 
 
 def new_run(
-    *,
-    capture: dict[str, Any],
-    preset: str,
-    config: RunConfig,
-    execution: Execution,
+    *, capture: dict[str, Any], preset: str, config: RunConfig, execution: Execution
 ) -> dict[str, Any]:
     """Contents of `run.json` before the first stage; `capture` is that of `capture_facts`."""
     return {

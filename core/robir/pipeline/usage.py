@@ -25,10 +25,7 @@ class Usage:
 
     def seconds_since(self, earlier: Usage) -> dict[str, float]:
         """Wall and CPU seconds between two readings."""
-        return {
-            "wall": round(self.wall - earlier.wall, 2),
-            "cpu": round(self.cpu - earlier.cpu, 2),
-        }
+        return {"wall": round(self.wall - earlier.wall, 2), "cpu": round(self.cpu - earlier.cpu, 2)}
 
 
 def peak_memory_bytes() -> int:

@@ -25,12 +25,7 @@ from robir.export.report.pictures import (
     write_contact,
 )
 from robir.export.report.products import Products
-from robir.export.report.viewer import (
-    VIEWER_SCRIPT,
-    embedded_asset,
-    embedded_lights,
-    start_orbit,
-)
+from robir.export.report.viewer import VIEWER_SCRIPT, embedded_asset, embedded_lights, start_orbit
 from robir.export.tiles import shown_texture
 from robir.jobs.paths import JobPaths, replacing, write_json
 
