@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -18,17 +17,16 @@ import threading
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
 from robir.errors import CancelledError, DeviceError, StorageError, UsageError
-from robir.jobs.folder import create
+from robir.jobs.folder import create, is_full
 from robir.jobs.lock import holder
 from robir.jobs.names import open_regular
 from robir.jobs.paths import JobPaths, write_json
 from robir.jobs.records import check, read_record
-from robir.jobs.request import Request
 from robir.jobs.status import Status, read_status
 
 # what `start` raises, each with a sentence for the user
@@ -39,7 +37,6 @@ State = Literal["none", "starting", "running", "done", "failed", "cancelled", "d
 _STARTING_SECONDS = 120.0
 _LOG_LINES = 30
 _NICENESS = 10
-_FULL_BELOW_BYTES = 1 << 20
 
 _TAIL_BYTES = 1 << 20
 
@@ -49,6 +46,48 @@ _FAILED = {"kind": str, "message?": str, "exit_code?": int}
 
 # workers that this process started, by result folder
 _children: dict[Path, subprocess.Popen[Any]] = {}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Request:
+    """What to reconstruct; every path is absolute."""
+
+    capture: Path  # folder or file of the capture
+    out: Path  # result folder; an unfinished one is continued
+    preset: str = "draft"  # how much work to do
+    device: str = "auto"  # "auto", "cpu" or "cuda"
+    masks: Path | None = None  # folder of masks, or None for the capture's own
+    # where the object is if there are no masks, as the setting `capture.box`; empty to look for it
+    box: tuple[float, ...] = ()
+    skips_missing: bool = False  # whether photographs that are not there are done without
+    left_out: tuple[str, ...] = ()  # photographs to do without, as the setting `capture.leave_out`
+    mesh: Path | None = None  # mesh that takes the place of a surface of the engine's, or None
+    settings: tuple[str, ...] = ()  # further items of `--set`
+    # file of what is known of an asset that is to be made, or None for no asset
+    asset: Path | None = None
+    until: str = ""  # stage after which the run ends; empty for the last
+
+    def words(self) -> list[str]:
+        """The command line without the program."""
+        masks = [] if self.masks is None else ["--masks", str(self.masks)]
+        choices = ["--preset", self.preset, "--device", self.device]
+        choices += [] if self.mesh is None else ["--mesh", str(self.mesh)]
+        asset = [] if self.asset is None else ["--asset", str(self.asset)]
+        until = ["--until", self.until] if self.until else []
+        return [
+            "reconstruct", str(self.capture), "-o", str(self.out), *choices, *masks, *asset, *until,
+            *self.choice_words(), *(word for item in self.settings for word in ("--set", item)),
+            "--resume", "--progress", "json",
+        ]  # fmt: skip
+
+    def choice_words(self) -> list[str]:
+        """What says which photographs take part and where the object is; `check` takes it too."""
+        names = json.dumps(self.left_out, ensure_ascii=False)
+        return [
+            *(["--set", f"capture.box={list(map(float, self.box))}"] if self.box else []),
+            *(["--skip-missing"] if self.skips_missing else []),
+            *(["--set", f"capture.leave_out={names}"] if self.left_out else []),
+        ]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,16 +133,8 @@ def start(program: Sequence[str], request: Request, environment: Mapping[str, st
     try:
         paths.cancel.unlink(missing_ok=True)
         write_json(paths.worker, begun)
-        with paths.worker_log.open("wb") as log:
-            process = subprocess.Popen(
-                [*program, *request.words()],
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=subprocess.STDOUT,
-                cwd=request.out,
-                env=dict(environment),
-                **detached(),
-            )
+        words = [*program, *request.words()]
+        process = spawn(words, request.out, paths.worker_log, environment)
     except OSError as error:
         if error.filename == program[0]:
             raise DeviceError(
@@ -114,8 +145,9 @@ def start(program: Sequence[str], request: Request, environment: Mapping[str, st
             "choose another result folder"
         ) from error
     _children[request.out] = process
-    threading.Thread(target=process.wait, name="RobIR worker", daemon=True).start()
-    _give_way(process.pid)
+    if sys.platform != "win32":
+        with suppress(OSError):  # the programs in front of the user go first
+            os.setpriority(os.PRIO_PROCESS, process.pid, _NICENESS)
     with suppress(OSError):  # the number only helps others to tell a slow start from a death
         write_json(paths.worker, begun | {"pid": process.pid})
 
@@ -192,11 +224,17 @@ def detached() -> dict[str, Any]:
     return {"start_new_session": True}
 
 
-def _give_way(pid: int) -> None:
-    """Let the programs in front of the user go first; threads begun later do so too."""
-    if sys.platform != "win32":
-        with suppress(OSError):
-            os.setpriority(os.PRIO_PROCESS, pid, _NICENESS)
+def spawn(
+    words: Sequence[str], folder: Path, log: Path, environment: Mapping[str, str]
+) -> subprocess.Popen[Any]:
+    """Start a process in a folder that goes on when this one ends, and prints to a log."""
+    how = detached() | {"stdin": subprocess.DEVNULL, "env": dict(environment)}
+    with log.open("wb") as file:
+        process = subprocess.Popen(
+            list(words), stdout=file, stderr=subprocess.STDOUT, cwd=folder, **how
+        )
+    threading.Thread(target=process.wait, name="RobIR worker", daemon=True).start()
+    return process
 
 
 def _is_starting(root: Path, begun: Mapping[str, Any]) -> bool:
@@ -233,16 +271,10 @@ def _reap(root: Path, seconds: float) -> int | None:
 def _ended(
     paths: JobPaths, known: Snapshot, state: State, message: str, exit_code: int | None
 ) -> Snapshot:
-    return Snapshot(
-        state=state,
-        stage=known.stage,
-        fraction=known.fraction,
-        message=message,
-        metrics=known.metrics,
-        exit_code=exit_code,
-        warnings=_warnings(paths),
-        log=() if state == "done" else _log_tail(paths),
-    )
+    found = _read(paths.run, _RUN).get("warnings", ())
+    facts = {"warnings": tuple(warning["message"] for warning in found), "exit_code": exit_code}
+    facts["log"] = () if state == "done" else _log_tail(paths)
+    return replace(known, state=state, message=message, seconds_left=None, **facts)
 
 
 def _without_a_word(paths: JobPaths, known: Snapshot, code: int | None) -> Snapshot:
@@ -256,7 +288,7 @@ def _without_a_word(paths: JobPaths, known: Snapshot, code: int | None) -> Snaps
         return _ended(paths, known, "cancelled", "stopped on request", code)
     again = "press Reconstruct to go on from the last finished stage"
     words = [line for line in printed if not line.startswith("{")]
-    if _is_full(paths.root):
+    if is_full(paths.root):
         message = f"the disk of {paths.root} is full; make room, then {again}"
     elif not known.stage and code is not None and code > 0:
         said = words[-1] if words else f"it ended with code {code}"
@@ -304,11 +336,6 @@ def _log_tail(paths: JobPaths) -> tuple[str, ...]:
     return tuple([*log, *words][-_LOG_LINES:])
 
 
-def _warnings(paths: JobPaths) -> tuple[str, ...]:
-    found = _read(paths.run, _RUN).get("warnings", ())
-    return tuple(warning["message"] for warning in found)
-
-
 def _read(path: Path, form: Any) -> dict[str, Any]:
     """Contents of a JSON file; nothing where it is missing or damaged."""
     try:
@@ -322,10 +349,3 @@ def _read_status(paths: JobPaths) -> Status | None:
         return read_status(paths.status)
     except (OSError, ValueError):
         return None
-
-
-def _is_full(root: Path) -> bool:
-    try:
-        return shutil.disk_usage(root).free < _FULL_BELOW_BYTES
-    except OSError:
-        return False

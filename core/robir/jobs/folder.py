@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -43,6 +44,15 @@ def refuse_special(root: Path, names: Iterable[str] | None = None) -> None:
     """Refuse a folder (`UsageError`) that holds more than files and folders."""
     if fault := special_fault(root, names):
         raise UsageError(f"{fault}, or give another folder with -o")
+
+
+def is_full(folder: Path) -> bool:
+    """Whether the disk of a folder, which need not be there yet, has less than a MiB of room."""
+    there = next((one for one in (folder, *folder.absolute().parents) if one.exists()), folder)
+    try:
+        return shutil.disk_usage(there).free < 1 << 20
+    except OSError:
+        return False
 
 
 def create(paths: JobPaths) -> None:

@@ -5,19 +5,17 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import threading
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from robir.jobs.client import detached
+from robir.jobs.client import spawn
 from robir.jobs.folder import special_fault
 from robir.jobs.lock import holder
 from robir.jobs.names import UnsafeNameError, file_in
-from robir.jobs.paths import JobPaths
+from robir.jobs.paths import JobPaths, Named
 from robir.jobs.records import read_record
 
 Format = Literal["glb", "usd", "blend"]
@@ -35,40 +33,14 @@ class LibraryPaths:
 
     root: Path  # the library, LIBRARY on the command line
 
-    @property
-    def plan(self) -> Path:
-        """What is to be reconstructed, all paths relative."""
-        return self.root / "plan.json"
-
-    @property
-    def state(self) -> Path:
-        """Where the batch stands; replaced as a whole."""
-        return self.root / "batch.json"
-
-    @property
-    def lock(self) -> Path:
-        """Held by the one batch that works on the whole library."""
-        return self.root / "batch.lock"
-
-    @property
-    def page(self) -> Path:
-        """The contact sheet."""
-        return self.root / "index.html"
-
-    @property
-    def catalogues(self) -> Path:
-        """Catalogues of Blender's asset library; Blender wants this name."""
-        return self.root / "blender_assets.cats.txt"
-
-    @property
-    def openjd(self) -> Path:
-        """Job bundle for render farms."""
-        return self.root / "openjd"
-
-    @property
-    def own(self) -> Path:
-        """The batch's own small files."""
-        return self.root / ".batch"
+    plan = Named("plan.json")  # what is to be reconstructed, all paths relative
+    state = Named("batch.json")  # where the batch stands; replaced as a whole
+    lock = Named("batch.lock")  # held by the one batch that works on the whole library
+    page = Named("index.html")  # the contact sheet
+    # catalogues of Blender's asset library; Blender wants this name
+    catalogues = Named("blender_assets.cats.txt")
+    openjd = Named("openjd")  # job bundle for render farms
+    own = Named(".batch")  # the batch's own small files
 
     @property
     def taken(self) -> frozenset[str]:
@@ -84,15 +56,10 @@ class LibraryPaths:
         """What is known of a capture's asset: author, licence, tags."""
         return file_in(self.own, f"{name}.toml")
 
-    @property
-    def dropped(self) -> Path:
-        """Touch a file of a capture's name in this folder to have the batch leave that out."""
-        return self.own / "dropped"
-
-    @property
-    def preferred(self) -> Path:
-        """Files of captures' names in this folder come first, the one touched last before all."""
-        return self.own / "preferred"
+    # touch a file of a capture's name in this folder to have the batch leave that out
+    dropped = Named(".batch/dropped")
+    # files of captures' names in this folder come first, the one touched last before all
+    preferred = Named(".batch/preferred")
 
 
 def refuse_strange(paths: LibraryPaths, results: Iterable[str] = ()) -> None:
@@ -128,17 +95,7 @@ def start_batch(
     refuse_strange(paths)
     paths.own.mkdir(parents=True, exist_ok=True)
     words = ["batch", *sources, "-o", str(paths.root), "--resume", "--progress", "plain"]
-    with (paths.own / "log.txt").open("wb") as log:
-        process = subprocess.Popen(
-            [*program, *words],
-            stdin=subprocess.DEVNULL,
-            stdout=log,
-            stderr=subprocess.STDOUT,
-            cwd=paths.root,
-            env=dict(environment),
-            **detached(),
-        )
-    threading.Thread(target=process.wait, name="RobIR batch", daemon=True).start()
+    spawn([*program, *words], paths.root, paths.own / "log.txt", environment)
 
 
 def stop_batch(paths: LibraryPaths) -> None:

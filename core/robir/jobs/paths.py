@@ -18,86 +18,44 @@ from robir.jobs.records import read_record
 STAGES = ("capture", "geometry", "transport", "appearance", "export")
 
 
+class Named:
+    """A file or folder of fixed name below the `root` of what has it as an attribute."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def __get__(self, owner: Any, kind: Any = None) -> Path:
+        return owner.root / self._name
+
+
 @dataclass(frozen=True, slots=True)
 class JobPaths:
     """Names of a result folder's files; nothing else may spell them."""
 
     root: Path  # the result folder, OUT on the command line
 
-    @property
-    def run(self) -> Path:
-        """Who made the result: versions, device, seed, capture, times."""
-        return self.root / "run.json"
-
-    @property
-    def config(self) -> Path:
-        """The resolved configuration, every value."""
-        return self.root / "config.toml"
-
-    @property
-    def status(self) -> Path:
-        """Where the run stands; replaced as a whole."""
-        return self.root / "status.json"
-
-    @property
-    def events(self) -> Path:
-        """What happened, one JSON line each; only ever appended to."""
-        return self.root / "events.jsonl"
-
-    @property
-    def log(self) -> Path:
-        """The log for people."""
-        return self.root / "log.txt"
-
-    @property
-    def preview(self) -> Path:
-        """A photograph and its present re-render side by side; replaced while the run goes on."""
-        return self.root / "preview.png"
-
-    @property
-    def growing(self) -> Path:
-        """The surface so far, coarse, capture frame; replaced while it is fitted, else absent."""
-        return self.root / "growing.npz"
-
-    @property
-    def masks(self) -> Path:
-        """Masks that were guessed for a capture without masks; the user may look and mend."""
-        return self.root / "masks"
-
-    @property
-    def mesh_fit(self) -> Path:
-        """Photographs with a handed-in mesh over them where it, or their cameras, had to move."""
-        return self.root / "mesh_fit.png"
-
-    @property
-    def cancel(self) -> Path:
-        """Touch this file to ask the run to stop."""
-        return self.root / "cancel"
-
-    @property
-    def lock(self) -> Path:
-        """Held by the one process that works in the folder."""
-        return self.root / "lock"
-
-    @property
-    def worker(self) -> Path:
-        """When and as which process a client started the worker; the client writes it."""
-        return self.root / "worker.json"
-
-    @property
-    def worker_log(self) -> Path:
-        """All that a worker started by a client printed."""
-        return self.root / "worker.log"
-
-    @property
-    def stale(self) -> Path:
-        """Where results of another configuration are moved, never deleted."""
-        return self.root / "stages" / ".stale"
-
-    @property
-    def registration(self) -> Path:
-        """Work of the capture stage on photographs without poses; it survives a stopped stage."""
-        return self.root / "stages" / ".registration"
+    run = Named("run.json")  # who made the result: versions, device, seed, capture, times
+    config = Named("config.toml")  # the resolved configuration, every value
+    status = Named("status.json")  # where the run stands; replaced as a whole
+    events = Named("events.jsonl")  # what happened, one JSON line each; only ever appended to
+    log = Named("log.txt")  # the log for people
+    # a photograph and its present re-render side by side; replaced while the run goes on
+    preview = Named("preview.png")
+    # the surface so far, coarse, capture frame; replaced while it is fitted, else absent
+    growing = Named("growing.npz")
+    # masks that were guessed for a capture without masks; the user may look and mend
+    masks = Named("masks")
+    # photographs with a handed-in mesh over them where it, or their cameras, had to move
+    mesh_fit = Named("mesh_fit.png")
+    cancel = Named("cancel")  # touch this file to ask the run to stop
+    lock = Named("lock")  # held by the one process that works in the folder
+    # when and as which process a client started the worker; the client writes it
+    worker = Named("worker.json")
+    worker_log = Named("worker.log")  # all that a worker started by a client printed
+    # where results of another configuration are moved, never deleted
+    stale = Named("stages/.stale")
+    # work of the capture stage on photographs without poses; it survives a stopped stage
+    registration = Named("stages/.registration")
 
     def stage(self, name: str) -> Path:
         """Folder of a stage."""
@@ -111,113 +69,43 @@ class JobPaths:
         """Which of a stage's steps changed nothing on this capture, and what each cost."""
         return self.stage(name) / "steps.json"
 
-    @property
-    def ground(self) -> Path:
-        """Plane of the flat ground that the mesh shows, unit frame; else absent."""
-        return self.stage("geometry") / "ground.json"
-
-    @property
-    def frame(self) -> Path:
-        """Where the capture was brought to stand as a handed-in mesh does; else absent."""
-        return self.stage("geometry") / "frame.json"
-
-    @property
-    def normal_map(self) -> Path:
-        """Normal map of a handed-in mesh that keeps its texture coordinates; else absent.
-
-        A mesh of UDIM tiles has one for each, see `of_tile`.
-        """
-        return self.stage("geometry") / "normal_map.png"
-
-    @property
-    def cut_masks(self) -> Path:
-        """Masks of the views where the geometry stage cut guessed ones again; else absent."""
-        return self.stage("geometry") / "masks"
-
-    @property
-    def export(self) -> Path:
-        """What the user takes away."""
-        return self.root / "export"
-
-    @property
-    def textures(self) -> Path:
-        """Texture images of the asset."""
-        return self.export / "textures"
-
-    @property
-    def asset(self) -> Path:
-        """The asset as glTF binary."""
-        return self.export / "asset.glb"
-
-    @property
-    def library_asset(self) -> Path:
-        """The object as an asset of Blender's library; absent where none was asked for."""
-        return self.export / "asset.blend"
-
-    @property
-    def usd(self) -> Path:
-        """The asset as USD, beside its textures; absent where none was asked for."""
-        return self.export / "asset.usda"
-
-    @property
-    def library_facts(self) -> Path:
-        """What `library_asset` and `usd` were made with; written after them."""
-        return self.export / "asset.json"
-
-    @property
-    def environment(self) -> Path:
-        """Recovered light, lat-long, linear Rec.709, Blender's world frame."""
-        return self.export / "environment.exr"
-
-    @property
-    def environment_without_sun(self) -> Path:
-        """Recovered light without the lobes that light.json gives as Sun lamps; absent without."""
-        return self.export / "environment_without_sun.exr"
-
-    @property
-    def light(self) -> Path:
-        """Recovered light as lobes."""
-        return self.export / "light.json"
-
-    @property
-    def tone_curve(self) -> Path:
-        """Recovered tone curve: family, parameters, samples."""
-        return self.export / "tone_curve.json"
-
-    @property
-    def tone_lut(self) -> Path:
-        """Recovered tone curve as a look-up table that OpenColorIO reads."""
-        return self.export / "tone_curve.cube"
-
-    @property
-    def tone_plot(self) -> Path:
-        """Plot of the recovered tone curve against the other candidates."""
-        return self.export / "tone_curve.png"
-
-    @property
-    def cameras(self) -> Path:
-        """Capture cameras in the capture's own frame, for Blender."""
-        return self.export / "cameras.json"
-
-    @property
-    def transforms(self) -> Path:
-        """The same as nerfstudio and instant-ngp read them."""
-        return self.export / "transforms.json"
-
-    @property
-    def colmap(self) -> Path:
-        """The same as a folder with a COLMAP model, sparse/0."""
-        return self.export / "colmap"
-
-    @property
-    def scene(self) -> Path:
-        """Blender scene with the asset, its light and the capture cameras."""
-        return self.export / "scene.blend"
-
-    @property
-    def renders(self) -> Path:
-        """Cycles renders: re-renders of held-out views, relit views, turntables."""
-        return self.root / "renders"
+    # plane of the flat ground that the mesh shows, unit frame; else absent
+    ground = Named("stages/geometry/ground.json")
+    # where the capture was brought to stand as a handed-in mesh does; else absent
+    frame = Named("stages/geometry/frame.json")
+    # normal map of a handed-in mesh that keeps its texture coordinates; else absent. A mesh of UDIM
+    # tiles has one for each, see `of_tile`.
+    normal_map = Named("stages/geometry/normal_map.png")
+    # masks of the views where the geometry stage cut guessed ones again; else absent
+    cut_masks = Named("stages/geometry/masks")
+    export = Named("export")  # what the user takes away
+    textures = Named("export/textures")  # texture images of the asset
+    asset = Named("export/asset.glb")  # the asset as glTF binary
+    # the object as an asset of Blender's library; absent where none was asked for
+    library_asset = Named("export/asset.blend")
+    # the asset as USD, beside its textures; absent where none was asked for
+    usd = Named("export/asset.usda")
+    # what `library_asset` and `usd` were made with; written after them
+    library_facts = Named("export/asset.json")
+    # recovered light, lat-long, linear Rec.709, Blender's world frame
+    environment = Named("export/environment.exr")
+    # recovered light without the lobes that light.json gives as Sun lamps; absent without
+    environment_without_sun = Named("export/environment_without_sun.exr")
+    light = Named("export/light.json")  # recovered light as lobes
+    # recovered tone curve: family, parameters, samples
+    tone_curve = Named("export/tone_curve.json")
+    # recovered tone curve as a look-up table that OpenColorIO reads
+    tone_lut = Named("export/tone_curve.cube")
+    # plot of the recovered tone curve against the other candidates
+    tone_plot = Named("export/tone_curve.png")
+    # capture cameras in the capture's own frame, for Blender
+    cameras = Named("export/cameras.json")
+    transforms = Named("export/transforms.json")  # the same as nerfstudio and instant-ngp read them
+    colmap = Named("export/colmap")  # the same as a folder with a COLMAP model, sparse/0
+    # Blender scene with the asset, its light and the capture cameras
+    scene = Named("export/scene.blend")
+    # Cycles renders: re-renders of held-out views, relit views, turntables
+    renders = Named("renders")
 
     def rerender(self, view: str) -> Path:
         """Cycles picture of a view under the recovered light; absent where none was rendered."""
@@ -227,40 +115,16 @@ class JobPaths:
         """Small Cycles picture under a light, by its file's stem or "" for the recovered one."""
         return self.renders / f"light_{light or 'recovered'}.png"
 
-    @property
-    def report(self) -> Path:
-        """The report as one page."""
-        return self.root / "report" / "index.html"
-
-    @property
-    def contact(self) -> Path:
-        """A view in small: photograph, re-render, albedo, and relit or trust beside each other."""
-        return self.root / "report" / "contact.jpg"
-
-    @property
-    def report_json(self) -> Path:
-        """The report's numbers."""
-        return self.root / "report" / "report.json"
-
-    @property
-    def scores(self) -> Path:
-        """Scores against the truth, where it is known."""
-        return self.root / "report" / "scores.json"
-
-    @property
-    def levels(self) -> Path:
-        """Scores of each level of the chain against held-out photographs."""
-        return self.root / "report" / "levels.json"
-
-    @property
-    def levels_strip(self) -> Path:
-        """Pictures of a few held-out photographs as each level shows them."""
-        return self.root / "report" / "levels.png"
-
-    @property
-    def truth_sheet(self) -> Path:
-        """Pictures of the result beside the truth."""
-        return self.root / "report" / "truth.png"
+    report = Named("report/index.html")  # the report as one page
+    # a view in small: photograph, re-render, albedo, and relit or trust beside each other
+    contact = Named("report/contact.jpg")
+    report_json = Named("report/report.json")  # the report's numbers
+    scores = Named("report/scores.json")  # scores against the truth, where it is known
+    # scores of each level of the chain against held-out photographs
+    levels = Named("report/levels.json")
+    # pictures of a few held-out photographs as each level shows them
+    levels_strip = Named("report/levels.png")
+    truth_sheet = Named("report/truth.png")  # pictures of the result beside the truth
 
 
 UDIM = "<UDIM>"  # what stands in a path for the number of any tile, to Blender and to USD

@@ -6,7 +6,6 @@ from __future__ import annotations
 import errno
 import math
 import os
-import shutil
 import signal
 import threading
 from collections.abc import Iterator, Mapping
@@ -22,6 +21,7 @@ from robir.errors import (
     RobirError,
     StorageError,
 )
+from robir.jobs.folder import is_full
 
 _FAILING = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG, errno.EIO})
 # how libraries tell of them that raise an error of their own
@@ -29,8 +29,6 @@ _DISK_WORDS = {os.strerror(number).lower(): number for number in _FAILING}
 # how a network drive or a disk that was pulled out is told; not every system knows all
 _AWAY = ("ESTALE", "ETIMEDOUT", "ENOTCONN", "EHOSTDOWN", "ENXIO", "ENODEV")
 _DISK_ERRORS = _FAILING | {getattr(errno, name) for name in _AWAY if hasattr(errno, name)}
-
-_FULL_BELOW_BYTES = 1 << 20
 
 _held: list[int] = []  # while a stop has to wait: a zero, then the signals that have come
 # the setting that decides most about each stage's memory
@@ -73,7 +71,7 @@ def translated(error: BaseException, stage: str, out: Path | None) -> BaseExcept
         return CaptureError(
             f"{barred} cannot be read: {error.strerror}; give yourself the right to read it"
         )
-    if out is not None and _is_full(out):
+    if out is not None and is_full(out):
         return StorageError(f"the disk of {out} is full; make room, then continue with --resume")
     return error
 
@@ -177,12 +175,3 @@ def _is_below(error: OSError, out: Path | None) -> bool:
         and error.filename is not None
         and Path(str(error.filename)).is_relative_to(out)
     )
-
-
-def _is_full(out: Path) -> bool:
-    """Whether the disk of a folder, which need not be there yet, has no room."""
-    there = next((folder for folder in (out, *out.absolute().parents) if folder.exists()), out)
-    try:
-        return shutil.disk_usage(there).free < _FULL_BELOW_BYTES
-    except OSError:
-        return False
