@@ -2,7 +2,8 @@
 """Hands a job to schedulers that exist: as an Open Job Description bundle, or to Slurm.
 
 A job is steps of `robir` commands, most of them one task a number. What was done before a task
-leaves alone, so whatever a scheduler ends may simply be started again.
+leaves alone, so whatever a scheduler ends may simply be started again. A library is
+one task a capture, or one for each part of its stages.
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ from typing import Any, Literal
 
 from robir.batch.local import worker_environment
 from robir.errors import DeviceError, UsageError
-from robir.jobs.paths import write_json
+from robir.jobs.library import LibraryPaths
+from robir.jobs.paths import STAGES, write_json
 
 MOST_TASKS = 1000  # largest array that Slurm takes by default (MaxArraySize)
 _MIB = 1 << 20
@@ -172,3 +174,47 @@ def _sbatch(words: Sequence[str]) -> str:
         said = done.stderr.decode(errors="replace").strip()
         raise DeviceError(f"Slurm takes no batch: {said}; see `man sbatch` for its variables")
     return done.stdout.decode().strip().partition(";")[0]
+
+
+FIT = "geometry"  # the stage that a graphics card shortens most
+_WHOLE = {"Reconstruct": (STAGES[0], STAGES[-1])}
+# first and last stage of each step
+_PARTS = {"Read": ("capture", "capture"), "Fit": (FIT, FIT), "Finish": ("transport", STAGES[-1])}
+
+
+def library_job(
+    paths: LibraryPaths, captures: Path, tasks: Sequence[int], memory: int, queue: str | None
+) -> Job:
+    """The captures that are to be done, by their numbers in the plan, and the page after all.
+
+    `memory` is what the most hungry of them needs, bytes. `queue` is None for all stages in one
+    task. Else the fit is a task of its own that asks for a graphics card, on Slurm in the partition
+    of this name; empty for the usual one.
+    """
+    root = paths.root.absolute()
+    common = ("batch", "--resume", "-o", "{{Param.Library}}", "--captures", "{{Param.Captures}}")
+    steps: list[Step] = []
+    for name, (first, last) in (_WHOLE if queue is None else _PARTS).items():
+        is_fit = queue is not None and first == FIT
+        step = Step(
+            name=name,
+            words=common if queue is None else (*common, "--stages", f"{first}-{last}"),
+            tasks=tuple(tasks),
+            after=steps[-1].name if steps else "",
+            is_paired=True,
+            memory=memory,
+            needs_gpu=is_fit,
+            queue=queue or "" if is_fit else "",
+        )
+        steps.append(step)
+    steps.append(Step(name="Page", words=(*common, "--page"), after=steps[-1].name))
+    return Job(
+        name=f"RobIR {root.name}",
+        places={
+            "Library": Place(
+                path=root, flow="INOUT", about="Results, assets and the contact sheet"
+            ),
+            "Captures": Place(path=captures, flow="IN", about="Folder that holds all captures"),
+        },
+        steps=steps,
+    )

@@ -12,14 +12,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from robir.batch.catalogue import write_facts
-from robir.batch.farm import submit_to_slurm, write_openjd
-from robir.batch.local import Item, Limits, LocalBatch
-from robir.batch.need import memory_needed
-from robir.batch.page import Row, row_of, write_page
+from robir.batch.farm import FIT, library_job, submit_to_slurm, write_openjd
+from robir.batch.local import Item, Limits, LocalBatch, memory_needed
+from robir.batch.page import Row, row_of, write_facts, write_page
 from robir.batch.plan import Plan, keep_plan, kept_plan, parse_size, read_plan
 from robir.batch.standing import Standing, fraction_of, is_done, of_snapshot, write_standings
-from robir.batch.tasks import FIT, library_job
 from robir.display import display_for
 from robir.errors import CaptureError, QualityError, StorageError, UsageError
 from robir.jobs import client

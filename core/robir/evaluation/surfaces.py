@@ -1,8 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What cameras see of a mesh, and scores of its surface."""
+"""What cameras see of a mesh, scores of it, and a mesh as the photographs around a camera show it.
+
+What such a picture lacks is the fault of the surface, of the poses, or of what changes with the
+view, for no light and no material is in it.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,8 +16,10 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from robir.capture.camera import Camera
+from robir.capture.capture import View
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
+from robir.transport.observe import Observations, observe
 
 Array = NDArray[np.floating[Any]]
 Mask = NDArray[np.bool_]
@@ -139,3 +146,98 @@ def intersection_over_union(estimate: Mask, truth: Mask) -> float:
     """Pixels in both masks over pixels in either; all views together, any equal shapes."""
     either = np.count_nonzero(estimate | truth)
     return float(np.count_nonzero(estimate & truth) / either) if either else 1.0
+
+
+Floats = NDArray[np.float32]
+Picture = NDArray[np.uint8]
+
+# photographs that are blended at a point; the next one's angle is where a weight reaches 0
+NEAREST = 4
+LEAST_ANGLE = 1e-3  # radians below which photographs count as equally near
+CHUNK = 1 << 15  # points that are blended at a time; memory limits them
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Warped:
+    """One camera's view of a surface, RGBA codes; alpha is 0 where no photograph shows it."""
+
+    nearest: Picture  # (H, W, 4), photographs from the most similar directions, blended
+    mean: Picture  # (H, W, 4), plain mean of the display values of all that show the point
+
+
+def warped_views(
+    mesh: Mesh, photographs: Sequence[View], cameras: Sequence[Camera], offset: float
+) -> Iterator[Warped]:
+    """What the photographs show at each camera's pixels, by a mesh in the frame of all cameras.
+
+    Who sees what is as for `observe`; rays start at `offset` above the surface.
+    """
+    caster = MeshCaster(mesh)
+    seen = [caster.cast(camera) for camera in cameras]
+    position = np.concatenate([one.position[one.hit] for one in seen]).astype(np.float32)
+    normal = np.concatenate([one.normal[one.hit] for one in seen]).astype(np.float32)
+    read = observe(caster.tracer, position, normal, tuple(photographs), offset)
+    start = 0
+    for one, camera in zip(seen, cameras, strict=True):
+        chosen = slice(start, start + int(one.hit.sum()))
+        start = chosen.stop
+        nearest, mean, known = _blended(read, position, chosen, camera.position)
+        yield Warped(nearest=_picture(one.hit, nearest, known), mean=_picture(one.hit, mean, known))
+
+
+def _picture(hit: NDArray[np.bool_], colour: Floats, known: NDArray[np.bool_]) -> Picture:
+    """RGBA codes of the pixels (M) that meet the surface."""
+    codes = np.zeros((*hit.shape, 4), np.uint8)
+    codes[hit, :3] = np.rint(colour)
+    codes[hit, 3] = 255 * known
+    return codes
+
+
+def _blended(
+    read: Observations, position: Floats, chosen: slice, eye: NDArray[np.float64]
+) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+    """Blend of the nearest photographs and mean of all (M, 3), and where there is one, (M,)."""
+    nearest, mean, known = [], [], []
+    for start in range(chosen.start, chosen.stop, CHUNK):
+        part = slice(start, min(start + CHUNK, chosen.stop))
+        display = read.display[part].astype(np.float32)
+        shown = read.weight[part] > 0
+        angle = np.where(shown, _angles(position[part], read.positions, eye), np.inf)
+        weight = nearness(angle)
+        nearest.append(np.einsum("nv,nvc->nc", weight, display))
+        count = shown.sum(1)
+        mean.append(np.einsum("nv,nvc->nc", shown, display) / np.maximum(count, 1)[:, None])
+        known.append(count > 0)
+    if not known:
+        return np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32), np.zeros(0, bool)
+    return np.concatenate(nearest), np.concatenate(mean), np.concatenate(known)
+
+
+def _angles(position: Floats, cameras: Floats, eye: NDArray[np.float64]) -> Floats:
+    """Angles (N, V), radians, at points (N, 3) between the directions to an eye and to cameras."""
+    towards = eye.astype(np.float32) - position
+    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+    cosine = np.empty((len(position), len(cameras)), np.float32)
+    for index, camera in enumerate(cameras):
+        other = camera - position
+        cosine[:, index] = np.einsum("nd,nd->n", towards, other) / np.linalg.norm(other, axis=1)
+    return np.arccos(np.clip(cosine, -1.0, 1.0))
+
+
+def nearness(angle: Floats) -> Floats:
+    """Weights (N, V) of photographs by the angle at which they see a point beside the wanted view.
+
+    The smaller the angle the heavier, and 0 from that of the first photograph that is not among the
+    NEAREST, so that nothing jumps where another one comes in (Buehler et al. 2001, "Unstructured
+    lumigraph rendering"). Angles in radians, infinite where a photograph does not show the point;
+    weights sum to 1, or to 0 where none shows it.
+    """
+    limit = np.full(len(angle), np.inf, np.float32)
+    if angle.shape[1] > NEAREST:
+        limit = np.partition(angle, NEAREST, axis=1)[:, NEAREST]
+    limit = np.where(np.isfinite(limit), limit, np.float32(np.pi))[:, None]
+    weight = np.clip(1 - angle / np.maximum(limit, LEAST_ANGLE), 0, None)
+    weight /= np.maximum(angle, LEAST_ANGLE)
+    weight[~np.isfinite(angle)] = 0.0
+    total = weight.sum(1, keepdims=True)
+    return (weight / np.maximum(total, 1e-12)).astype(np.float32)

@@ -1,9 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reads the ground truth beside a capture; `blender_scenes/format.py` documents the files."""
+"""Reads the ground truth beside a capture; `blender_scenes/format.py` documents the files.
+
+Environment maps from anybody are looked at here, too: Blender dies of a damaged one without a
+sentence, takes any size, and renders light that is none.
+"""
 
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
@@ -19,7 +24,7 @@ from scipy.ndimage import map_coordinates
 from robir.capture.camera import Camera
 from robir.capture.images.decode import MAX_FILE_BYTES
 from robir.capture.images.regular import regular
-from robir.errors import CaptureError
+from robir.errors import CaptureError, UsageError
 from robir.jobs.records import MATRIX, NUMBERS, read_record
 from robir.maths.tone_power import DISPLAY_POWER
 from robir.maths.vectors import equirect_directions
@@ -272,3 +277,51 @@ def lamps_of(scene: dict[str, Any]) -> list[tuple[list[float], list[float]]]:
         return [(lamp["direction"], lamp["irradiance_rgb"]) for lamp in scene["lamps"]]
     is_lamp = scene["sun_is_lamp"]
     return [(scene["sun_direction"], scene["sun_irradiance_rgb"])] if is_lamp else []
+
+
+# largest map; Blender takes sixteen bytes for each texel, and as many while it reads them
+MOST_TEXELS = 8192 * 4096
+# above any light in watts per square metre and steradian; sums of larger ones are no numbers
+_MOST_RADIANCE = 1e12
+_HDR_HEAD_BYTES = 1 << 16
+_HDR_SIZE = re.compile(rb"\n[-+][XY] (\d{1,9}) [-+][XY] (\d{1,9})\n")
+
+
+def refuse_light(path: Path) -> None:
+    """Refuse an .exr or .hdr that is damaged, too large or no light, by a `UsageError`."""
+    suffix = path.suffix.lower()
+    try:
+        fault = {".exr": _exr_fault, ".hdr": _hdr_fault}.get(suffix, lambda _: "")(path)
+    except TooLargeError as error:
+        fault = f"{error}, and up to 8192 by 4096 are taken"
+    except Exception as error:  # a foreign parser on foreign bytes may raise anything
+        reason = error.strerror if isinstance(error, OSError) else "it is cut off or damaged"
+        fault = f"it cannot be read ({reason})"
+    if fault:
+        raise UsageError(f"{path} is no light: {fault}; give another map with --environment")
+
+
+def _exr_fault(path: Path) -> str:
+    image = read_exr(path, 4 * MOST_TEXELS)
+    colours = {name for name in image if name.rpartition(".")[2].upper() in tuple("RGBY")}
+    if not colours:
+        return f"it has no colours, only {', '.join(sorted(image))[:80]}"
+    for name in colours:
+        if not np.isfinite(image[name]).all():
+            return f"its channel {name} holds numbers that are not finite"
+        if image[name].min() < 0 or image[name].max() > _MOST_RADIANCE:
+            low, high = image[name].min(), image[name].max()
+            return f"its channel {name} goes from {low:g} to {high:g}"
+    return ""
+
+
+def _hdr_fault(path: Path) -> str:
+    with regular(path, MAX_FILE_BYTES) as file:
+        head = file.read(_HDR_HEAD_BYTES)
+    size = _HDR_SIZE.search(head)
+    if not head.startswith(b"#?") or size is None:
+        return "its header is none of a Radiance picture"
+    first, second = int(size[1]), int(size[2])
+    if not 0 < first * second <= MOST_TEXELS:
+        return f"it has {first} by {second} texels, and up to 8192 by 4096 are taken"
+    return ""

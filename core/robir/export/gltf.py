@@ -21,8 +21,7 @@ from PIL import Image
 
 from robir import __version__
 from robir.evaluation.metrics import srgb_from_linear
-from robir.export.textures import Codes, Textures, codes
-from robir.export.tiles import Part
+from robir.export.textures import Codes, Part, Textures, codes
 from robir.geometry.mesh.triangles import Mesh
 from robir.jobs.paths import replacing
 

@@ -18,9 +18,9 @@ from robir.export.cameras import export_cameras
 from robir.export.config import ExportConfig
 from robir.export.environment import export_light
 from robir.export.gltf import write_glb
-from robir.export.report.products import Products, Rendering
+from robir.export.report.numbers import Products, Rendering
 from robir.export.report.write import write_report
-from robir.export.tiles import parts_of, tile_textures, write_tiles
+from robir.export.textures import parts_of, tile_textures, write_tiles
 from robir.export.tone_lut import export_tone_curve
 from robir.geometry.mesh.triangles import Mesh
 from robir.jobs.context import StageContext

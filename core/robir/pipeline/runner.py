@@ -22,7 +22,7 @@ from robir.jobs.folder import create
 from robir.jobs.lock import folder_lock
 from robir.jobs.paths import STAGES, JobPaths, replacing, write_json
 from robir.pipeline import folder
-from robir.pipeline.device import Execution
+from robir.pipeline.device import Execution, Usage, peak_memory_bytes
 from robir.pipeline.faults import refuse_nan, stop_requested, translated
 from robir.pipeline.inputs import capture_fingerprint, mesh_fingerprint
 from robir.pipeline.ledger import (
@@ -36,7 +36,6 @@ from robir.pipeline.ledger import (
     write_manifest,
 )
 from robir.pipeline.reporter import Display, RunReporter
-from robir.pipeline.usage import Usage, peak_memory_bytes
 from robir.settings import toml_from_settings
 
 _NO_ASSET = "no asset for Blender's library: "

@@ -19,7 +19,7 @@ from robir.evaluation.layers import Layers
 from robir.evaluation.light_scores import RecoveredLight
 from robir.evaluation.photos import read_picture
 from robir.evaluation.sheet import BACKGROUND, cut, display_codes, layer_pictures, over_grey, window
-from robir.export.report.products import Rendering
+from robir.export.report.numbers import Rendering
 from robir.jobs.paths import JobPaths, replacing
 
 Picture = NDArray[np.uint8]

@@ -23,8 +23,7 @@ from robir.capture.camera import Camera
 from robir.evaluation.light_scores import RecoveredLight
 from robir.export.gltf import glb_bytes
 from robir.export.report.pictures import data_address
-from robir.export.textures import Codes
-from robir.export.tiles import Part
+from robir.export.textures import Codes, Part
 from robir.geometry.mesh.triangles import Mesh
 from robir.maths.vectors import equirect_directions
 

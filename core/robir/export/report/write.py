@@ -11,9 +11,9 @@ from typing import Any
 from markupsafe import Markup
 
 from robir.evaluation.layers import view_layers
-from robir.evaluation.level_table import LEVEL_HEAD, level_cells, level_notes
+from robir.evaluation.levels import LEVEL_HEAD, level_cells, level_notes
 from robir.export.page import page_template
-from robir.export.report.numbers import report_numbers
+from robir.export.report.numbers import Products, report_numbers
 from robir.export.report.pictures import (
     data_address,
     environment_picture,
@@ -24,9 +24,8 @@ from robir.export.report.pictures import (
     shown_views,
     write_contact,
 )
-from robir.export.report.products import Products
 from robir.export.report.viewer import VIEWER_SCRIPT, embedded_asset, embedded_lights, start_orbit
-from robir.export.tiles import shown_texture
+from robir.export.textures import shown_texture
 from robir.jobs.paths import JobPaths, replacing, write_json
 
 _LEVELS_START, _LEVELS_END = '<section id="levels">', "</section>"
