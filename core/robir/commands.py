@@ -63,7 +63,7 @@ def batch(options: Namespace) -> int:
 
 def check(options: Namespace) -> int:
     """Say what is noticed about a capture; 3 if it would be refused."""
-    from robir.capture.check import check_capture, stands_of
+    from robir.capture.recognise import check_capture, stands_of
     from robir.capture.refusal import describe
     from robir.capture.store import plain_view
     from robir.display import display_for

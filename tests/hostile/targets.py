@@ -23,7 +23,7 @@ from PIL import Image
 from robir.batch.plan import keep_plan, kept_plan, read_plan
 from robir.batch.standing import Standing, write_standings
 from robir.capture.arrays import stored_arrays
-from robir.capture.checks.frame_checks import check_frames
+from robir.capture.checks.findings import check_frames
 from robir.capture.images.decode import exif_values, opened, orientation
 from robir.capture.images.loading import read_mask
 from robir.capture.mesh_file import SUFFIXES, read_mesh

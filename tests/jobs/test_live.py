@@ -16,7 +16,7 @@ from PIL import Image
 from robir import cli
 from robir.capture.camera import Camera
 from robir.capture.capture import Bounds, Capture, View
-from robir.capture.images.preview import BACKGROUND, save_preview
+from robir.capture.images.loading import BACKGROUND, save_preview
 from robir.geometry.fit.preview import Preview
 from robir.jobs.paths import JobPaths, read_json
 from robir.jobs.status import read_status

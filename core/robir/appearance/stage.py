@@ -31,8 +31,7 @@ from robir.appearance.tone.ranking import PLAIN
 from robir.appearance.tone.rivals import albedo_apart, fits_alike
 from robir.capture.arrays import PICTURES, stored_arrays
 from robir.capture.capture import Capture
-from robir.capture.images.loading import resize_view
-from robir.capture.images.preview import save_preview
+from robir.capture.images.loading import resize_view, save_preview
 from robir.capture.refusal import describe, warning
 from robir.capture.store import load_settled
 from robir.geometry.mesh.tracer import EmbreeTracer

@@ -13,9 +13,9 @@ from numpy.lib import format as numpy_format
 from numpy.typing import NDArray
 
 from robir.capture.frames import Array
-from robir.capture.images.regular import regular
 from robir.capture.refusal import DAMAGED_ARRAYS
 from robir.errors import StorageError
+from robir.jobs.names import regular
 
 # largest set of arrays of a result that is read at once; 8192 texels a side take half of it
 MAX_STORED_BYTES = 1 << 32

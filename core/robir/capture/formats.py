@@ -13,7 +13,6 @@ from robir.capture.capture import Finding
 from robir.capture.frames import FrameSet
 from robir.capture.readers import (
     colmap,
-    llff,
     meshroom,
     metashape,
     neus,
@@ -111,8 +110,8 @@ def _readers(source: Path) -> Iterator[tuple[str, Reader]]:
     sidecars = reality_scan.find_sidecars(source)
     if sidecars is not None:
         yield f"{sidecars.name}/*.xmp", partial(reality_scan.read_sidecars, sidecars)
-    if (source / llff.NAME).is_file():
-        yield llff.NAME, partial(llff.read, source / llff.NAME)
+    if (source / neus.LLFF).is_file():
+        yield neus.LLFF, partial(neus.read_llff, source / neus.LLFF)
 
 
 def _files(source: Path) -> list[Path]:

@@ -28,9 +28,8 @@ from robir.capture.gltf_file import (
     read_parts,
 )
 from robir.capture.gltf_json import MeshFaultError, opened
-from robir.capture.images.regular import regular
 from robir.errors import CaptureError
-from robir.jobs.names import UnsafeNameError, checked_name, leads_out
+from robir.jobs.names import UnsafeNameError, checked_name, leads_out, regular
 
 SUFFIXES = (".glb", ".gltf", ".obj", ".off", ".ply", ".stl")  # kinds of files that are read here
 # kinds of files that only Blender reads; the add-on makes a GLB of them

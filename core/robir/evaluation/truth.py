@@ -23,8 +23,8 @@ from scipy.ndimage import map_coordinates
 
 from robir.capture.camera import Camera
 from robir.capture.images.decode import MAX_FILE_BYTES
-from robir.capture.images.regular import regular
 from robir.errors import CaptureError, UsageError
+from robir.jobs.names import regular
 from robir.jobs.records import MATRIX, NUMBERS, read_record
 from robir.maths.tone_power import DISPLAY_POWER
 from robir.maths.vectors import equirect_directions

@@ -11,8 +11,10 @@ import errno
 import os
 import re
 import stat
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import BinaryIO
 
 # longest name of a file that every usual file system takes, with room for a suffix of ours
 MAX_NAME_BYTES = 240
@@ -91,3 +93,17 @@ def read_regular(path: Path, most: int) -> bytes:
     if len(content) > most:
         raise OSError(errno.EFBIG, f"it is larger than {most} bytes", str(path))
     return content
+
+
+# largest file of poses that is read; those of thousands of photographs have a tenth of it
+MAX_POSES_BYTES = 1 << 28
+
+
+@contextmanager
+def regular(path: Path, most: int = MAX_POSES_BYTES) -> Iterator[BinaryIO]:
+    """A regular file of sane size, opened for reading; everything a capture holds is read by it."""
+    with os.fdopen(open_regular(path), "rb") as file:
+        size = os.fstat(file.fileno()).st_size
+        if size > most:
+            raise OSError(f"{path.name} has {size} bytes; at most {most} are read")
+        yield file

@@ -24,11 +24,11 @@ from numpy.typing import NDArray
 from PIL import ExifTags, Image, UnidentifiedImageError
 
 from robir.capture.frames import HEIF_SUFFIXES, LINEAR_SUFFIXES, RAW_SUFFIXES
-from robir.capture.images.colour import code_points
 from robir.capture.images.linear import is_floating_tiff, read_linear
 from robir.capture.images.opencv import cv2
-from robir.capture.images.regular import regular
+from robir.capture.images.pixels import code_points
 from robir.capture.refusal import CaptureRefusedError, refuse
+from robir.jobs.names import regular
 
 # the cure for a missing optional package, in one place
 INSTALL_PHOTOS = "Install what reads it with: pip install 'robir[photos]'"

@@ -30,6 +30,7 @@ from robir.capture.images.linear import LINEAR, coded
 from robir.capture.images.opencv import cv2
 from robir.capture.images.pixels import Photo, in_srgb, pixels_of
 from robir.capture.refusal import refuse
+from robir.jobs.paths import replacing
 from robir.workers import side_by_side
 
 Bytes = NDArray[np.uint8]
@@ -233,3 +234,21 @@ def _zoom_without_gaps(
     message += f"tangential {distortion.tangential}, skew {distortion.skew:g}"
     cure = "Undistort the photographs (for example with `colmap image_undistorter`) "
     raise refuse("distortion", message, cure + "and give that folder.")
+
+
+_PREVIEW_SIDE = 160  # longer side of each of the two pictures, pixels
+_PREVIEW_GREY = 48  # grey behind the object, display value
+
+
+def save_preview(path: Path, photo: NDArray[np.uint8], rendering: NDArray[np.uint8]) -> None:
+    """Write a photograph and, to its right, the same view as reconstructed, as PNG.
+
+    Both are (H, W, 4) display RGB, straight alpha = coverage of the object.
+    """
+    size = size_within((photo.shape[1], photo.shape[0]), _PREVIEW_SIDE)
+    sheet = Image.new("RGB", (2 * size[0], size[1]), (_PREVIEW_GREY,) * 3)
+    for column, picture in enumerate((photo, rendering)):
+        small = Image.fromarray(picture, "RGBA").resize(size, Image.Resampling.BOX)
+        sheet.paste(small, (column * size[0], 0), small)
+    with replacing(path) as temporary:
+        sheet.save(temporary, format="PNG", compress_level=1)

@@ -31,10 +31,8 @@ from robir.capture.images.decode import (
 )
 from robir.capture.images.loading import size_within
 from robir.capture.images.pixels import pixels_of
-from robir.capture.images.regular import regular
 from robir.capture.poses import sfm
-from robir.capture.poses.ambiguity import forget, hold_against_links
-from robir.capture.poses.diagnose import judge, look_alikes, read_links
+from robir.capture.poses.diagnose import forget, hold_against_links, judge, look_alikes, read_links
 from robir.capture.poses.sfm import MIN_PHOTOGRAPHS, MORE_PHOTOGRAPHS, Prepared, Workplace
 from robir.capture.poses.sources import (
     MAX_BYTES,
@@ -48,6 +46,7 @@ from robir.capture.poses.sources import (
 from robir.capture.readers import colmap
 from robir.capture.refusal import CaptureRefusedError, note, refuse, some
 from robir.capture.views import Progress
+from robir.jobs.names import regular
 from robir.jobs.paths import read_json, replacing, write_json
 
 if TYPE_CHECKING:

@@ -20,12 +20,11 @@ from scipy import ndimage
 from robir.capture.capture import Finding
 from robir.capture.frames import IMAGE_SUFFIXES
 from robir.capture.images.decode import INSTALL_PHOTOS
-from robir.capture.images.regular import regular
 from robir.capture.masks.given import IGNORE, natural_order
 from robir.capture.readers.files import children, is_other, without_others
 from robir.capture.refusal import CaptureRefusedError, note, refuse, some
 from robir.capture.views import Progress
-from robir.jobs.names import UnsafeNameError, checked_name
+from robir.jobs.names import UnsafeNameError, checked_name, regular
 from robir.jobs.paths import replacing
 
 FRAMES = 100  # frames taken from a video at most

@@ -20,9 +20,7 @@ import numpy as np
 from msgspec import Meta
 
 from robir.capture.frames import Array, Distortion, FrameSet, Lens, checked_lens
-from robir.capture.readers.files import load_json
-from robir.capture.readers.shots import Shot, frame_set, opencv_pose
-from robir.capture.readers.values import (
+from robir.capture.readers.files import (
     Identity,
     Point,
     Positive,
@@ -30,8 +28,10 @@ from robir.capture.readers.values import (
     Terms,
     Vector,
     checked,
+    load_json,
     sane_points,
 )
+from robir.capture.readers.shots import Shot, frame_set, opencv_pose
 from robir.capture.refusal import CaptureRefusedError, refuse, some
 
 _CURE = "Take cameras.sfm from the folder of Meshroom's StructureFromMotion node."

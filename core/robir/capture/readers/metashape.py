@@ -28,9 +28,8 @@ import numpy as np
 
 from robir.capture.capture import Finding
 from robir.capture.frames import Array, Distortion, FrameSet, Lens, checked_lens
-from robir.capture.readers.files import load_xml
+from robir.capture.readers.files import Side, checked, load_xml
 from robir.capture.readers.shots import Shot, frame_set, opengl_pose, rolling_shutter
-from robir.capture.readers.values import Side, checked
 from robir.capture.refusal import CaptureRefusedError, note, refuse, some, warning
 
 _CURE = "Export the cameras as Agisoft XML again (File > Export > Export Cameras)."

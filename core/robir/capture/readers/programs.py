@@ -13,9 +13,7 @@ from msgspec import Meta
 from scipy.spatial.transform import Rotation
 
 from robir.capture.frames import Array, Distortion, FrameSet, Lens
-from robir.capture.readers.files import load_json, parsed
-from robir.capture.readers.shots import Shot, frame_set, opencv_pose, opencv_view, opengl_pose
-from robir.capture.readers.values import (
+from robir.capture.readers.files import (
     Number,
     Point,
     Positive,
@@ -24,8 +22,11 @@ from robir.capture.readers.values import (
     Turn,
     Vector,
     checked,
+    load_json,
+    parsed,
     sane_points,
 )
+from robir.capture.readers.shots import Shot, frame_set, opencv_pose, opencv_view, opengl_pose
 from robir.capture.refusal import note, refuse, some
 
 # OpenSfM and OpenDroneMap: reconstruction.json. A shot holds the rotation (axis times angle) and

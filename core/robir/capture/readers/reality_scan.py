@@ -36,6 +36,8 @@ from robir.capture.frames import Array, Distortion, FrameSet, Lens
 from robir.capture.images.decode import stored_size
 from robir.capture.readers.files import (
     IMAGE_FOLDERS,
+    Number,
+    checked,
     children,
     head,
     load_table,
@@ -44,7 +46,6 @@ from robir.capture.readers.files import (
     pictures_in,
 )
 from robir.capture.readers.shots import Shot, frame_set, opencv_pose, opengl_pose
-from robir.capture.readers.values import Number, checked
 from robir.capture.refusal import refuse, some
 
 _SIGNATURE = frozenset({"name", "heading", "pitch", "roll"})

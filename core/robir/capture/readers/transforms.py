@@ -32,16 +32,7 @@ from msgspec import Meta
 
 from robir.capture.capture import Finding
 from robir.capture.frames import IMAGE_SUFFIXES, MAX_NUMBER, Array, Distortion, FrameSet, Lens
-from robir.capture.readers.files import children, head, load_json
-from robir.capture.readers.shots import (
-    Shot,
-    frame_set,
-    is_file,
-    opencv_pose,
-    opengl_pose,
-    rolling_shutter,
-)
-from robir.capture.readers.values import (
+from robir.capture.readers.files import (
     Matrix,
     Number,
     Positive,
@@ -50,8 +41,19 @@ from robir.capture.readers.values import (
     Turn,
     Vector,
     checked,
+    children,
+    head,
+    load_json,
     matrix_of,
     missing_key,
+)
+from robir.capture.readers.shots import (
+    Shot,
+    frame_set,
+    is_file,
+    opencv_pose,
+    opengl_pose,
+    rolling_shutter,
 )
 from robir.capture.refusal import note, refuse, some
 
