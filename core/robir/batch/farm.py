@@ -63,11 +63,7 @@ class Job:
 
 
 def write_openjd(job: Job, folder: Path) -> Path:
-    """Write a job bundle into a folder.
-
-    Its places are parameters, so that a farm may map them; the values beside it start from the
-    bundle's own folder.
-    """
+    """Write a job bundle; its places are parameters, which start from its folder."""
     values = [
         {"name": name, "value": Path(os.path.relpath(place.path, folder.absolute())).as_posix()}
         for name, place in job.places.items()

@@ -75,10 +75,7 @@ class LocalBatch:
     _running: list[Item] = field(default_factory=list)
 
     def run(self, watch: Callable[[], None]) -> None:
-        """Do what is not done yet until all has ended, well or not; `watch` follows each look.
-
-        `CancelledError` if it is told to stop; what was at work is ended in good order.
-        """
+        """Do what is not done yet; `watch` follows each look; `CancelledError` if told to stop."""
         for item in self.items:
             is_live = client.snapshot(item.request.out).is_live
             if is_live:  # left by a batch that was killed
@@ -177,10 +174,7 @@ class LocalBatch:
 
 
 def worker_environment(cores: int | None = None) -> dict[str, str]:
-    """Variables of a process: its cores, and one thread for libraries unless the user says other.
-
-    Sums come out otherwise on other numbers of their threads. None leaves it all cores.
-    """
+    """Variables of a process: cores, None for all, and one thread for libraries unless told."""
     share = {} if cores is None else {CORES: str(max(1, cores))}
     return {"OMP_NUM_THREADS": "1", **os.environ, **share}
 

@@ -28,10 +28,7 @@ def absolute(path: str) -> Path:
 
 
 def places(path: str, where: str) -> list[Path]:
-    """The capture of a path, or all folders that it matches; a `UsageError` names `where`.
-
-    It may hold `*`, `?` and `[...]` within names; links match by their last name only.
-    """
+    """The capture of a path, or all folders that `*`, `?` and `[...]` match; or a UsageError."""
     where = where or "the command line"
     try:
         place = absolute(checked_name(path))
@@ -60,10 +57,7 @@ def folder_of_masks(path: str, where: str) -> str:
 
 
 def name_of_result(given: str, place: Path, where: str, paths: LibraryPaths) -> str:
-    """The name of a capture's result folder, good on every system; "" takes the capture's own.
-
-    `UsageError` if there can be no folder of that name.
-    """
+    """The name of a result folder, good on every system; "" takes the capture's own."""
     own = place.stem if place.is_file() else place.name
     name = re.sub(r"[^\w.-]+", "_", unicodedata.normalize("NFC", given or own))
     name = name.strip("._") or "capture"

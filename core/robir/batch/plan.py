@@ -138,10 +138,7 @@ def keep_plan(plan: Plan, paths: LibraryPaths) -> None:
 
 
 def kept_plan(paths: LibraryPaths, captures: Path | None) -> Plan:
-    """The plan of a library, its captures moved to another folder where one is given.
-
-    `UsageError` if it has none, `StorageError` if that is damaged.
-    """
+    """The plan of a library, its captures elsewhere if given; UsageError or StorageError."""
     try:
         table = dict(read_json(paths.plan))
         folder, entries = table.pop("captures"), table.pop("entries")

@@ -24,10 +24,7 @@ _HEADERS = {(1, 0): numpy_format.read_array_header_1_0, (2, 0): numpy_format.rea
 
 
 def read_matrix(file: IO[bytes], most: int) -> Array:
-    """A two-dimensional array of at most so many plain numbers, as float64.
-
-    The file is at the beginning of what `numpy.save` wrote. ValueError if it is no such array.
-    """
+    """A matrix of at most so many numbers, float64, of what `numpy.save` wrote; else ValueError."""
     shape, is_fortran, dtype = _head(file)
     if dtype.kind not in "fiu" or dtype.itemsize > 8:
         raise ValueError(f"it holds {dtype} instead of numbers")

@@ -78,10 +78,7 @@ class Camera:
         return np.stack([columns.ravel() + 0.5, rows.ravel() + 0.5], axis=1)
 
     def project(self, points: Array) -> tuple[Array, Array]:
-        """Image points (N, 2) of world points (N, 3), and depths (N,) along the viewing direction.
-
-        Points behind the camera have a negative depth and a meaningless image point.
-        """
+        """Image points (N, 2) of points (N, 3), and depths (N,), negative behind the camera."""
         local = (points - self.position) @ self.camera_to_world[:3, :3]
         depth = -local[:, 2]
         safe = np.where(np.abs(depth) < 1e-12, 1e-12, depth)
@@ -100,10 +97,7 @@ class Camera:
         return (depth > 0) & inside.all(axis=1)
 
     def off_axis(self, pixels: Array) -> Array:
-        """Squared distances (N,) of points (N, 2), pixels, from the lens's axis.
-
-        A corner of the whole photograph has 1 where the axis is in its middle; more counts as 1.
-        """
+        """Squared distances (N,) of points (N, 2) from the lens's axis, at most 1; a corner's is 1."""
         away = pixels - [self.cx, self.cy]
         width, height = self.whole_size
         return ((away**2).sum(1) * 4 / (width**2 + height**2)).clip(max=1.0)

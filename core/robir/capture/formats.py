@@ -60,11 +60,7 @@ _UNREAD = (
 
 
 def reader_of(source: Path) -> Reader | None:
-    """What reads a folder or a file of poses, or None.
-
-    Of several in a folder the one that says most counts, and what is left is said: first what names
-    masks and splits, then what has lens and points, last LLFF, which has neither.
-    """
+    """What reads a folder or a file of poses, of several the one that says most, or None."""
     if source.is_file():
         return file_reader(source)
     (chosen, reader), *others = list(_readers(source)) or [("", None)]

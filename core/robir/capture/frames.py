@@ -204,10 +204,7 @@ def checked_lens(lens: Lens, path: Path, whose: str) -> Lens:
 
 
 def pose_fault(pose: Array) -> str | None:
-    """What is wrong with a camera-to-world matrix, in words, or None.
-
-    A common scale of the three axes is allowed, as Blender writes it for scaled cameras.
-    """
+    """What is wrong with a camera-to-world matrix, in words, or None; a common scale is allowed."""
     if not np.isfinite(pose).all() or np.abs(pose).max() > MAX_NUMBER:
         return "holds NaN, infinite or absurdly large numbers"
     axes = pose[:3, :3]

@@ -51,10 +51,7 @@ class Part:
 def read_parts(
     document: dict[str, Any], binary: bytes, files: Mapping[str, bytes]
 ) -> list[tuple[NDArray[np.float64], Part]]:
-    """All triangles that the file's scene shows, each part with its (4, 4) place.
-
-    `files` holds the contents of files beside it by the names that it uses.
-    """
+    """All triangles that the scene shows, each part with its (4, 4) place, by files by name."""
     reader = _Reader(document, binary, files)
     shown = list(_shown(document))
     meshes = document.get("meshes", [])
@@ -284,11 +281,7 @@ def normal_images(document: Document) -> list[Document]:
 def normal_maps(
     document: Document, binary: bytes, parts: Mapping[str, bytes]
 ) -> tuple[tuple[Codes, ...], dict[int, int]]:
-    """The maps themselves, (H, W, 3) each, green towards larger v, their strength applied.
-
-    No two are of the same texture and strength. Also which of them each material has, by its
-    number; materials without one are missing. `binary` and `parts` are as for `read_parts`.
-    """
+    """The maps (H, W, 3), green towards larger v, and by number which of them a material has."""
     distinct, of_material = _named(document)
     maps, pixels = [], 0
     for named in distinct:

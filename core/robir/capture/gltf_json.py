@@ -54,10 +54,7 @@ class MeshFaultError(ValueError):
 
 
 def opened(content: bytes, *, is_binary: bool) -> tuple[dict[str, Any], bytes]:
-    """The JSON of a glTF file, of the form that is read, and the binary chunk of a GLB.
-
-    `MeshFaultError` if it is none.
-    """
+    """The JSON of a glTF file and the binary chunk of a GLB, or a `MeshFaultError`."""
     text, binary = _chunks(content) if is_binary else (content, b"")
     if len(text) > _JSON_BYTES or sum(text.count(sign) for sign in b"{[,") > _MOST_TOKENS:
         raise MeshFaultError(f"its JSON has {len(text)} bytes and too many entries")

@@ -244,11 +244,7 @@ def _turned_normals(piece: Part, matrix: NDArray[np.float64]) -> NDArray[np.floa
 def _named_tiles(
     document: dict[str, Any], pieces: list[tuple[NDArray[np.float64], Part]]
 ) -> dict[int, tuple[int, int]]:
-    """Where the UDIM tile begins that each material of a glTF file stands for, by its number.
-
-    glTF has no such tiles: Blender and we write a material for each, its name ending in the tile's
-    number, and move texture coordinates to 0..1. Empty unless all materials are of that kind.
-    """
+    """Where the UDIM tile of each material of a glTF begins, by its name; empty unless all are."""
     names = document.get("materials", ())
     corners_of: dict[int, tuple[int, int]] = {}
     for _, piece in pieces if names else ():

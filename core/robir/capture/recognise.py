@@ -65,10 +65,7 @@ class Workshop:
 
 
 def read_frames(source: Path, outside: Literal["refuse", "take"] = "refuse") -> FrameSet:
-    """Recognise a capture, a folder or a file of poses, and read everything but the photographs.
-
-    `outside` is the setting of the stage.
-    """
+    """Recognise a folder or file of poses, and read all but the photographs."""
     if is_video(source):
         raise _no_poses(f"{source} is a video")
     if not source.is_dir() and not source.is_file():
@@ -319,10 +316,7 @@ _REACH = 0.25
 def check_capture(
     source: Path, masks: Path | None, config: CaptureConfig, progress: Progress = unheard
 ) -> tuple[Capture | None, tuple[Finding, ...], FrameSet | None]:
-    """The capture, or None if errors are among its findings; these, errors first.
-
-    Of a refused capture the posed photographs come last, if there are any.
-    """
+    """The capture, or None if there are errors; findings, errors first; refused, posed frames."""
     try:
         with tempfile.TemporaryDirectory(prefix="robir-") as folder:
             workshop = Workshop(folder=Path(folder), seed=0)
@@ -339,10 +333,10 @@ def _sorted(findings: tuple[Finding, ...]) -> tuple[Finding, ...]:
 
 
 def stands_of(frames: FrameSet) -> dict[str, Any] | None:
-    """Where the photographs of a refused capture were taken, as plain values for JSON.
+    """Where the photographs of a refused capture were taken, as plain values for JSON, or None.
 
     "cameras" are like those of an accepted capture, each with its "image"; "centre" and "radius"
-    say where they look; "points" are sparse, (N, 3). None where no photograph can be read.
+    say where they look; "points" are sparse, (N, 3).
     """
     posed = [
         (frame, camera) for frame in frames.frames if (camera := _camera_of(frame)) is not None

@@ -17,11 +17,7 @@ REVISION = 7  # raised by hand when the results of this stage change
 
 
 def run(context: StageContext[CaptureConfig]) -> dict[str, Any]:
-    """Read, check and store the capture; nothing is stored if it cannot be reconstructed.
-
-    Metrics: format, views and held_out (counts), mask_share and clipped_share (in [0, 1]),
-    bounds_radius (capture unit).
-    """
+    """Read, check and store the capture; nothing is stored if it cannot be reconstructed."""
     capture = read_capture(
         context.source,
         context.masks,

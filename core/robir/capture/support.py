@@ -57,9 +57,9 @@ def across(normal: Array) -> Array:
 
 
 def support_plane(points: Array, cameras: Sequence[Camera], distance: float) -> Plane | None:
-    """The plane with most points (N, 3) on it and next to none below it (Fischler and Bolles 1981).
+    """The plane with most points (N, 3) on it and next to none below, all but few cameras above.
 
-    All but few cameras are above it, at about that distance; None where the points show none.
+    By random triples (Fischler and Bolles 1981); None where the points show none.
     """
     if len(points) < 2 * LEAST_PATCHES:
         return None

@@ -67,10 +67,7 @@ def truth_of(capture: Path, paths: JobPaths) -> tuple[Truth, Alignment | None]:
 
 
 def align(truth: Truth, views: Sequence[View]) -> Alignment:
-    """The similarity from the frame of the truth of photographs to that of a result's views.
-
-    `CaptureError` if they share too few photographs.
-    """
+    """The similarity from the truth's frame to that of views; `CaptureError` if few are shared."""
     found = {v.name: v.camera for v in views if v.name in truth.cameras}
     if len(found) < FEWEST:
         raise CaptureError(

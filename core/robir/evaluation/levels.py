@@ -202,10 +202,7 @@ def _warped(
 
 
 def _on_hull(photographs: Sequence[View], views: Sequence[View]) -> Pictures:
-    """The nearest photographs on the visual hull by view; none where masks have no common volume.
-
-    The hull is that of the settings `draft`, whatever the result was made with: a yardstick.
-    """
+    """The nearest photographs on the visual hull of the settings `draft` by view, or none."""
     config = GeometryConfig()
     photos = [reduce_view(view, config.image_side) for view in photographs]
     try:
@@ -274,11 +271,7 @@ def _table(
 
 
 def view_scores(judged: Judged, picture: Picture) -> dict[str, Any]:
-    """Scores of one level's picture (H, W, 4), codes, of one view of that size.
-
-    "psnr", "ssim", "gradient" (`metrics.gradient_error`) over the pixels that are compared, and
-    "psnr_whole_mask".
-    """
+    """Scores of one level's picture (H, W, 4), codes, of one view of that size."""
     ours = picture[..., :3] / 255.0 * (picture[..., 3:] > 0)
     photo = judged.view.image_display / 255.0
     return {
@@ -313,10 +306,7 @@ def fault(chain: Mapping[str, Mapping[str, Any]]) -> str:
 
 
 def strip_rows(judged: Sequence[Judged], pictures: Mapping[str, Pictures]) -> list[Pictures]:
-    """Rows of labelled pictures, one a held-out view: the photograph and what each level shows.
-
-    At most STRIP_VIEWS rows, cut to the object; views with a Cycles picture come first.
-    """
+    """Rows of labelled pictures of up to STRIP_VIEWS held-out views, those of Cycles first."""
     views = tuple(one.view for one in judged)
     rendered = tuple(view for view in views if view.name in pictures["cycles"])
     rows = []

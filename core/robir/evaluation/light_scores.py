@@ -171,10 +171,7 @@ def true_curve(scene: Mapping[str, Any]) -> tone.AbstractToneCurve | None:
 
 
 def stops_apart(curve: tone.AbstractToneCurve, other: tone.AbstractToneCurve) -> float:
-    """Root mean square over CODES of the log2 ratio of what two curves take a code for.
-
-    The mean ratio is left out: it is exposure, which no tone curve holds.
-    """
+    """Root mean square of the log2 ratio of two curves' radiance over CODES, without its mean."""
     ratio = np.log2(grey_radiance(curve) / grey_radiance(other))
     return float(ratio.std())
 
@@ -186,11 +183,7 @@ def grey_radiance(curve: tone.AbstractToneCurve) -> Array:
 
 
 def tone_scores(found: Mapping[str, Any], scene: Mapping[str, Any]) -> dict[str, Any]:
-    """Scores of a recovered curve, by the contents of tone_curve.json and the truth's scene.json.
-
-    "family" and "parameters" as recovered, "true_view_transform", "true_display_power", and
-    "stops": how far the curves lie apart, None where the true one is none of ours.
-    """
+    """Scores of tone_curve.json by the truth's scene.json; "stops" apart, None if not of ours."""
     truth = true_curve(scene)
     recovered = tone.curve_from_name(found["family"], found["parameters"])
     return {

@@ -52,9 +52,8 @@ def psnr(estimate: Array, truth: Array) -> float:
 def alignment_scale(estimate_linear: Array, truth_linear: Array, alignment: str) -> Array:
     """Factors (3,) that bring the estimate B (N, 3) to the truth A (N, 3), linear.
 
-    "raw" is 1; "one_scalar" is sum(A B) / sum(B B) over all channels; "per_channel_lsq" the same
-    for each channel (NeRFactor); "per_channel_median" is the median of A_c / max(B_c, 1e-6)
-    (TensoIR).
+    "one_scalar" is sum(A B) / sum(B B) over all channels; "per_channel_lsq" the same for each
+    (NeRFactor); "per_channel_median" is the median of A_c / max(B_c, 1e-6) (TensoIR).
     """
     a, b = np.asarray(truth_linear, np.float64), np.asarray(estimate_linear, np.float64)
     if alignment == "raw":
@@ -69,10 +68,7 @@ def alignment_scale(estimate_linear: Array, truth_linear: Array, alignment: str)
 
 
 def albedo_scores(estimate_linear: Array, truth_linear: Array) -> dict[str, dict[str, Any]]:
-    """Albedo PSNR under every alignment, linear and sRGB-encoded; both (N, 3), truth in [0, 1].
-
-    {"psnr_linear": {alignment: dB}, "psnr_srgb": {alignment: dB}, "scale": {alignment: [r, g, b]}}.
-    """
+    """PSNR in dB, linear and sRGB, by alignment, and their "scale"; (N, 3), truth in [0, 1]."""
     scores: dict[str, dict[str, Any]] = {"psnr_linear": {}, "psnr_srgb": {}, "scale": {}}
     for alignment in ALIGNMENTS:
         scale = alignment_scale(estimate_linear, truth_linear, alignment)

@@ -38,11 +38,7 @@ class VisibleSurface:
 
 
 class MeshCaster:
-    """A mesh ready to be looked at by many cameras.
-
-    Attributes:
-        tracer: Its acceleration structure.
-    """
+    """A mesh ready to be looked at by many cameras; `tracer` is its acceleration structure."""
 
     def __init__(self, mesh: Mesh) -> None:
         """Build the acceleration structure of a mesh in the cameras' frame."""
@@ -132,10 +128,7 @@ def chamfer(
 
 
 def normal_scores(estimate: Array, truth: Array, hit: Mask) -> dict[str, float]:
-    """Mean and median angle, degrees, of unit normals (N, 3) over the true foreground.
-
-    Where the estimate has no surface, `hit` (N,) False, 90 degrees count.
-    """
+    """Mean and median angle, degrees, of unit normals (N, 3); 90 degrees where `hit` is False."""
     sine = np.linalg.norm(np.cross(estimate, truth), axis=1)
     cosine = np.sum(np.asarray(estimate) * truth, axis=1)
     angle = np.where(hit, np.degrees(np.arctan2(sine, cosine)), 90.0)
@@ -168,10 +161,7 @@ class Warped:
 def warped_views(
     mesh: Mesh, photographs: Sequence[View], cameras: Sequence[Camera], offset: float
 ) -> Iterator[Warped]:
-    """What the photographs show at each camera's pixels, by a mesh in the frame of all cameras.
-
-    Who sees what is as for `observe`; rays start at `offset` above the surface.
-    """
+    """What photographs show at each camera's pixels, by a mesh; rays start `offset` above it."""
     caster = MeshCaster(mesh)
     seen = [caster.cast(camera) for camera in cameras]
     position = np.concatenate([one.position[one.hit] for one in seen]).astype(np.float32)

@@ -101,10 +101,7 @@ def has_truth(capture: Path) -> bool:
 
 
 def load_truth(capture: Path) -> Truth:
-    """Read the truth of a capture's test views, from truth/ and transforms_test.json.
-
-    `CaptureError` if there is none or it cannot be read.
-    """
+    """The truth of test views, from truth/ and transforms_test.json; or a `CaptureError`."""
     folder = capture / "truth"
     if not (folder / "scene.json").is_file():
         raise CaptureError(
@@ -211,10 +208,7 @@ class TooLargeError(ValueError):
 
 
 def read_exr(path: Path, most: int = _MAX_NUMBERS) -> dict[str, Array]:
-    """All channels of an EXR file's first part by name, (H, W) float32 each.
-
-    `TooLargeError` if they have more numbers than `most` together.
-    """
+    """All channels of an EXR by name, (H, W) float32; `TooLargeError` above `most` numbers."""
     with regular(path, MAX_FILE_BYTES), OpenEXR.File(str(path), header_only=True) as opened:
         header = opened.header()
         low, high = header["dataWindow"]
@@ -232,10 +226,7 @@ def _triple(image: dict[str, Array], name: str, axes: str) -> Array:
 def true_environment(
     capture: Path, scene: dict[str, Any], turn: NDArray[np.floating[Any]]
 ) -> Array:
-    """Lat-long radiance (H, 2H, 3) as rendered, turned from the truth's frame by (3, 3).
-
-    A lamp's irradiance is put into the texel of its direction.
-    """
+    """Lat-long radiance (H, 2H, 3), turned by (3, 3), a lamp in the texel of its direction."""
     image = read_exr(capture / "truth" / "environment.exr")
     linear = np.stack([image[axis] for axis in "RGB"], axis=-1)
     rows, columns = linear.shape[:2]

@@ -92,10 +92,7 @@ def is_current(paths: JobPaths, facts: AssetFacts) -> bool:
 
 
 def make_asset(paths: JobPaths, facts: AssetFacts, progress: Callable[[float, str], None]) -> None:
-    """Write the formats that are asked for of a finished result; the one that takes Blender last.
-
-    `RobirError` if Blender is missing or cannot make it.
-    """
+    """Write the formats of a finished result that are asked for, Blender's last; or RobirError."""
     others = tuple(kind for kind in facts.formats if kind != "blend")
     paths.library_facts.unlink(missing_ok=True)
     if "usd" in others:

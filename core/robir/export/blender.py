@@ -122,10 +122,7 @@ def run_headless(arguments: Sequence[str], on_progress: Callable[[float, str], N
 
 
 def _end_of(process: subprocess.Popen[str], *, is_told: bool) -> int:
-    """Exit code of a process that has closed its reports; what hangs at its exit is ended.
-
-    `is_told` is whether it has said what it wrote: then all is done, however it ends.
-    """
+    """Exit code of a process that has closed its reports; one that hangs is ended."""
     try:
         return process.wait(_PATIENCE)
     except subprocess.TimeoutExpired:

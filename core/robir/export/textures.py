@@ -74,10 +74,7 @@ def grown(image: Array, inside: NDArray[np.bool_], margin: int) -> Array:
 
 
 def finished_textures(arrays: dict[str, Array], num_views: int) -> Textures:
-    """Grow the appearance stage's textures to what is shipped; without "specular" it is 1.
-
-    Islands grow by 8 texels, more above 2048 texels a side. `num_views` is the unit of "coverage".
-    """
+    """Grow the appearance stage's textures by 8 texels, more above 2048 a side; as shipped."""
     inside = arrays["inside"].astype(bool)
     margin = max(_MARGIN_AT_2K, round(_MARGIN_AT_2K * inside.shape[0] / 2048))
 
@@ -111,9 +108,9 @@ def stored_normal_map(path: Path) -> Codes | None:
 def write_textures(textures: Textures, folder: Path, tile: int | None = None) -> None:
     """Write the images of export/textures, of one tile where there are such.
 
-    albedo.png is sRGB, albedo.exr linear half; roughness.png, metallic.png and normal.png are plain
-    numbers ("Non-Color"); coverage.png is the share of views and uncertainty.png the standard error
-    of log albedo, UNCERTAINTY_AT_255 at code 255.
+    albedo.png is sRGB, albedo.exr linear half; roughness, metallic and normal are "Non-Color";
+    coverage is the share of views and uncertainty the standard error of log albedo,
+    UNCERTAINTY_AT_255 at code 255.
     """
     metallic = None if textures.metallic is None else codes(textures.metallic)
     images = {

@@ -38,11 +38,7 @@ _SCALE = 2  # drawn so much larger and reduced, for smooth lines
 
 
 def export_tone_curve(paths: JobPaths) -> dict[str, Any]:
-    """Write tone_curve.json, .cube and .png; the JSON's content.
-
-    The JSON is the appearance stage's with "samples" added: grey radiance "linear" against the
-    "display" code in 0..1.
-    """
+    """Write tone_curve.json, with "samples" of linear and display grey, .cube and .png."""
     table = stored_facts(paths.stage("appearance") / "tone_curve.json", _FORM)
     curve = tone.curve_from_name(table["family"], table["parameters"])
     table = table | {"samples": tone.as_samples(curve, _SAMPLES)}
@@ -55,10 +51,7 @@ def export_tone_curve(paths: JobPaths) -> dict[str, Any]:
 
 
 def _plot(table: dict[str, Any]) -> bytes:
-    """The chosen curve over the other candidates as PNG.
-
-    Pillow draws it: to load matplotlib for five lines takes a second of processor time.
-    """
+    """The chosen curve over the other candidates as PNG; matplotlib would take a second to load."""
     picture = Image.new("RGB", (_SCALE * _SIZE[0], _SCALE * _SIZE[1]), "white")
     pen, font = ImageDraw.Draw(picture), ImageFont.load_default(_SCALE * 14)
 

@@ -192,20 +192,13 @@ def signs(
 
 
 def rivals(candidates: list[dict[str, Any]]) -> dict[str, float]:
-    """How far apart albedo is at most under curves that fit alike, PSNR in dB; empty without such.
-
-    Where it is as far as results are from the truth in the median, 22 dB, the wrong one of two adds
-    3 dB to the error. Alone that made no result a bad one: see the limits.
-    """
+    """PSNR in dB between albedos under curves that fit alike, the least; empty without such."""
     apart = [row["albedo_apart"] for row in candidates if row["albedo_apart"] is not None]
     return {"rivals": min(apart)} if apart else {}
 
 
 def paint(evidence: list[dict[str, Any]]) -> dict[str, float]:
-    """How many standard errors known paint is off all other evidence of the light's level.
-
-    Empty where no paint is known, or nothing else tells.
-    """
+    """Standard errors from known paint to all other evidence of the light's level, if there is."""
     rows = {row["by"]: row for row in evidence if row["of"] == "level"}
     if BY_PAINT not in rows or BY_ALL not in rows:
         return {}
@@ -220,10 +213,7 @@ def shown(last_word: dict[str, Any] | None) -> dict[str, float]:
 
 
 def _outline(mesh: Mesh, views: tuple[View, ...]) -> float:
-    """Overlap of the surface as the cameras see it with the masks, all views together.
-
-    The pixels along a mask's outline do not count: on either side of it nobody knows.
-    """
+    """Overlap of surface and masks in all views, without the pixels along the masks' outlines."""
     caster = MeshCaster(mesh)
     ours, masks = [], []
     for view in views:

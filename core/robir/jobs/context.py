@@ -16,10 +16,7 @@ class Reporter(Protocol):
     """Where a stage says how far it is."""
 
     def progress(self, fraction: float, message: str) -> None:
-        """Report the share of the running stage that is done, in [0, 1], and what is being done.
-
-        `CancelledError` if the user asked the run to stop.
-        """
+        """Report a share in [0, 1] and what is being done; `CancelledError` if asked to stop."""
 
     def warn(self, message: str) -> None:
         """Tell the user something that lowers the result but does not stop the run."""

@@ -56,10 +56,7 @@ def is_full(folder: Path) -> bool:
 
 
 def create(paths: JobPaths) -> None:
-    """Make the result folder, or accept an existing one that is empty or ours.
-
-    `UsageError` if it holds other things, `StorageError` if it cannot be made.
-    """
+    """Make the result folder, or accept one that is empty or ours; UsageError or StorageError."""
     root = paths.root
     # what may be there before run.json: by its starter, or where that could not be written
     first = (paths.lock, paths.log, paths.cancel, paths.worker_log, paths.events)

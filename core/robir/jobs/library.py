@@ -63,19 +63,13 @@ class LibraryPaths:
 
 
 def refuse_strange(paths: LibraryPaths, results: Iterable[str] = ()) -> None:
-    """Refuse a library whose own files or named results are links out of it or pipes.
-
-    An `UnsafeNameError` names the first of what does not belong there.
-    """
+    """Refuse (`UnsafeNameError`) a library whose files or results are links out of it or pipes."""
     if fault := special_fault(paths.root, {*paths.taken, *results}):
         raise UnsafeNameError(fault)
 
 
 def read_batch(paths: LibraryPaths) -> dict[str, Any]:
-    """Where the batch stands: "fraction", "seconds_left" and "captures" in the plan's order.
-
-    `OSError` if there is none, `ValueError` if it is damaged; or see `refuse_strange`.
-    """
+    """Where the batch stands: "fraction", "seconds_left", "captures"; OSError or ValueError."""
     refuse_strange(paths)
     return read_record(paths.state, _STATE)
 

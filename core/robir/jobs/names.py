@@ -63,10 +63,7 @@ def leads_out(path: Path, folders: Iterable[Path]) -> bool:
 
 
 def open_regular(path: Path, flags: int = os.O_RDONLY, *, follows_links: bool = True) -> int:
-    """Handle of a regular file for `os.fdopen`: no pipe, no device, no folder, else an `OSError`.
-
-    It may be missing where the flags make it.
-    """
+    """Handle of a regular file for `os.fdopen`, which flags may make; for all else an OSError."""
     flags |= getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
     flags |= 0 if follows_links else getattr(os, "O_NOFOLLOW", 0)
     # a device may do something merely by being opened, so it is looked at first as well

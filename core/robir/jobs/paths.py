@@ -131,10 +131,7 @@ UDIM = "<UDIM>"  # what stands in a path for the number of any tile, to Blender 
 
 
 def of_tile(path: Path, tile: int | str | None) -> Path:
-    """The file of one UDIM tile: albedo.png of tile 1002 is albedo.1002.png.
-
-    `UDIM` stands for all tiles; without any the path stays.
-    """
+    """The file of one UDIM tile or `UDIM`: albedo.png of tile 1002 is albedo.1002.png."""
     return path if tile is None else path.with_name(f"{path.stem}.{tile}{path.suffix}")
 
 

@@ -39,10 +39,7 @@ class Status:
 
 
 def read_status(path: Path) -> Status:
-    """Read what `StatusWriter` wrote, also one of another version.
-
-    `OSError` if there is none, `ValueError` if it is damaged.
-    """
+    """Read what `StatusWriter` of any version wrote; OSError without, ValueError if damaged."""
     plain = read_record(path, _FORM)
     if plain["state"] not in get_args(State):
         raise DamagedFileError(f"{path.name} states {plain['state'][:40]!r}")

@@ -42,10 +42,7 @@ _MEMORY_CURES = {
 
 
 def translated(error: BaseException, stage: str, out: Path | None) -> BaseException:
-    """The error as a RobirError with a sentence for the user, or itself where it is a bug.
-
-    `stage` was at work; `out` is the result folder, None where there is none.
-    """
+    """The error as a RobirError with a sentence for the user, or itself where it is a bug."""
     if isinstance(error, RobirError):
         return error
     if isinstance(error, KeyboardInterrupt):
@@ -127,10 +124,7 @@ def stop_requested() -> Iterator[None]:
 
 @contextmanager
 def stop_held() -> Iterator[None]:
-    """Let a stop that comes within the block wait for its end.
-
-    A process that is started there is then known to who has to end it.
-    """
+    """Let a stop wait for the block's end: a process started in it is then known to its ender."""
     _held.append(0)
     try:
         yield

@@ -27,10 +27,7 @@ def is_capture_file(path: Path) -> bool:
 
 
 def file_hash(path: Path) -> str:
-    """SHA-256 of a regular file's contents, 64 hex digits.
-
-    An `OSError` names the file, which a bad block alone does not.
-    """
+    """SHA-256 of a regular file, 64 hex digits; an OSError names it, as a bad block does not."""
     with os.fdopen(open_regular(path), "rb") as file:
         try:
             return hashlib.file_digest(file, "sha256").hexdigest()

@@ -47,10 +47,7 @@ class StageModule(Protocol):
 def stage_fingerprints(
     config: RunConfig, revisions: Mapping[str, int], capture: str, mesh: str = ""
 ) -> dict[str, str]:
-    """Fingerprint of each stage: settings, constants, seed, revision and all that came before it.
-
-    `capture` and `mesh` are those of the contents; that of the mesh is empty without one.
-    """
+    """Fingerprint of each stage: settings, constants, seed, revision and all that came before."""
     result: dict[str, str] = {}
     upstream = fingerprint(capture, mesh) if mesh else capture
     for stage in STAGES:
@@ -91,10 +88,7 @@ def write_manifest(paths: JobPaths, stage: str, facts: Mapping[str, Any]) -> Non
 
 
 def judged(paths: JobPaths) -> QualityError | None:
-    """What the program's own quality check has against a whole result, or None.
-
-    The export stage notes the verdict in its manifest. Before that stage there is none.
-    """
+    """What the quality check of the export stage's manifest has against a result, or None."""
     if not paths.manifest(STAGES[-1]).exists():
         return None
     metrics = read_record(paths.manifest(STAGES[-1]), _MANIFEST).get("metrics", {})
@@ -104,10 +98,7 @@ def judged(paths: JobPaths) -> QualityError | None:
 
 
 def clear_for_rerun(paths: JobPaths, stage: str, state: StageState) -> None:
-    """Make room for a stage that has to run: stale results are kept aside, halves go.
-
-    `StorageError` if files cannot be moved or removed.
-    """
+    """Make room for a stage that has to run: stale results are kept aside, halves go."""
     renders = [paths.renders] if stage == STAGES[-1] else []
     # The stage's own folder goes last: as long as its manifest is there, the stage is stale.
     folders = [folder for folder in (*renders, *_folders(paths, stage)) if folder.exists()]

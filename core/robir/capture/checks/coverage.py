@@ -39,10 +39,7 @@ def directions_to(views: Sequence[View], bounds: Bounds) -> Array:
 
 
 def upwards(views: Sequence[View]) -> Array:
-    """The direction that level cameras agree is up, unit, (3,).
-
-    It is the one most nearly at right angles to the rows of all pictures.
-    """
+    """The direction most nearly at right angles to the rows of all pictures, unit, (3,)."""
     axes = np.array([view.camera.camera_to_world[:3, :3] for view in views])
     _, vectors = np.linalg.eigh(np.einsum("vi,vj->ij", axes[:, :, 0], axes[:, :, 0]))
     up = vectors[:, 0]
@@ -124,10 +121,7 @@ def check_sharpness(views: Sequence[View], bounds: Bounds) -> list[Finding]:
 
 
 def relative_sharpness(views: Sequence[View], bounds: Bounds) -> Array:
-    """How sharp photographs are at the object against those from similar directions, (V,).
-
-    Infinite where nothing can be said.
-    """
+    """Sharpness at the object against photographs from like directions, (V,), or infinite."""
     values = np.array(side_by_side(sharpness, views)).reshape(-1, len(_DIRECTIONS) + 1)
     ratios = np.full(len(views), np.inf)
     measured = np.flatnonzero(np.isfinite(values).all(axis=1))
@@ -143,10 +137,7 @@ def relative_sharpness(views: Sequence[View], bounds: Bounds) -> Array:
 
 
 def sharpness(view: View) -> Array:
-    """Sharpness along the four directions, then the coarser gradients in grey levels, (5,).
-
-    All NaN where the mask is too small.
-    """
+    """Sharpness in four directions, then coarser gradients, (5,); NaN where the mask is small."""
     inside = ndimage.binary_erosion(view.mask >= 250, iterations=_MARGIN)
     if inside.sum() < _LEAST:
         return np.full(len(_DIRECTIONS) + 1, np.nan)

@@ -228,10 +228,7 @@ def _of(
 
 
 def place_object(frames: FrameSet, views: Views) -> tuple[Views, Bounds | None, list[Finding]]:
-    """The object's bounding sphere from the masks of the train views, which get the right poses.
-
-    Without bounds there is an error among the findings.
-    """
+    """The object's sphere by masks of train views, with the right poses; or None and an error."""
     hull = _hull(frames, views)
     findings: list[Finding] = []
     if frames.other_order:

@@ -57,10 +57,7 @@ class _Turn:
 def prepared(
     frames: FrameSet, chosen: Chosen, drawn: Mapping[str, Path]
 ) -> tuple[Chosen, dict[str, Path], list[Finding]]:
-    """Frames, masks that outline the object by name, and findings; frames know what they are for.
-
-    `drawn` masks win over the format's own.
-    """
+    """Frames that know what they are for, masks by name, `drawn` ones first, and findings."""
     chosen, masks, findings = without_ignoring(chosen, drawn)
     exif = {f.name: found for f, _ in chosen if (found := _exif_turn(f)) is not None}
     turns = [_Turn(poses, of_masks) for poses in (False, True) for of_masks in (False, True)]

@@ -44,10 +44,7 @@ _CURE = "Photograph with exposure and white balance locked (manual mode) and all
 
 
 def check_settings(photographs: Sequence[Path]) -> list[Finding]:
-    """Compare the exposures and the flash that cameras wrote into the photographs (EXIF).
-
-    Files that say nothing are passed over; exposures count where two or more state them.
-    """
+    """Compare exposures and flash as EXIF states them, where two or more photographs do."""
     stated = {path.name: _settings(path) for path in photographs}
     fired = [name for name, (_, flash) in stated.items() if flash]
     message = f"The flash fired in {len(fired)} of {len(photographs)} photographs: its light "
@@ -96,16 +93,13 @@ def check_brightness(views: Sequence[View], bounds: Bounds) -> list[Finding]:
 
 
 def uneven_exposures(views: Sequence[View], bounds: Bounds, brightness: Array) -> Array | None:
-    """How much brighter than the others each photograph is, where they were not exposed alike.
+    """How much brighter than the others each photograph is, stops (V,), where that is uneven.
 
-    Two measures have to agree, as each has objects that deceive it. Points of the object, compared
-    between the photographs that show them, are off by the exposure in the median; that fails where
-    the visual hull is no surface. And under one light the mean brightness of the object is a smooth
-    function of the direction it is seen from: what nine spherical harmonics leave, for each view
-    fitted to the others, is the exposure's doing; that fails for hard light on plain objects.
-
-    `brightness` is that of `sight`. Stops (V,) as of `exposure_offsets`; None where the photographs
-    count as exposed alike.
+    Two measures have to agree, as each has objects that deceive it. Points of the object are off by
+    the exposure in the median; that fails where the visual hull is no surface. And under one light
+    the mean brightness of the object is a smooth function of the direction it is seen from, which
+    nine spherical harmonics fit; that fails for hard light on plain objects. `brightness` is that
+    of `sight`.
     """
     if len(views) < _FEWEST_VIEWS:
         return None
@@ -120,10 +114,7 @@ def uneven_exposures(views: Sequence[View], bounds: Bounds, brightness: Array) -
 
 
 def exposure_offsets(brightness: Array) -> Array:
-    """Median brightness of each photograph relative to the others at the same points, stops, (V,).
-
-    Photographs that show fewer than ten comparable points have 0.
-    """
+    """Median brightness of photographs against others at their points, stops (V,); 0 below ten."""
     brightness = brightness[np.isfinite(brightness).sum(axis=1) >= 4]
     offsets = np.zeros(brightness.shape[1])
     comparable = np.isfinite(brightness).sum(axis=0) >= 10
@@ -152,10 +143,7 @@ def _harmonics(directions: Array) -> Array:
 
 
 def sight(views: Sequence[View], bounds: Bounds) -> Array:
-    """Brightness (P, V) in stops of up to about 1500 points of the masks' visual hull.
-
-    NaN where a photograph does not show the point.
-    """
+    """Brightness (P, V) in stops at some 1500 points of the masks' hull; NaN where not shown."""
     views = [resize_view(view, SIDE) for view in views]
     inside = _hull(views, bounds)
     half = bounds.radius / _GRID

@@ -62,10 +62,7 @@ _TURNS = {
 
 @contextmanager
 def opened(path: Path) -> Iterator[Image.Image]:
-    """A picture file of any kind of `IMAGE_SUFFIXES`, decoded, as stored; RAW comes upright.
-
-    `CaptureError` if it is missing, damaged, no picture, or of a kind whose package is missing.
-    """
+    """A picture file of `IMAGE_SUFFIXES`, decoded, as stored, RAW upright; or `CaptureError`."""
     with header(path) as picture:
         load(picture, path)
         yield picture
@@ -83,10 +80,7 @@ def load(picture: Image.Image, path: Path) -> None:
 
 
 def deep_codes(picture: Image.Image, path: Path) -> NDArray[np.uint16] | None:
-    """Pixels (H, W, 3 or 4) of a picture with 16 bits a channel, of which Pillow would keep eight.
-
-    None for other pictures and for what OpenCV would turn.
-    """
+    """Codes (H, W, 3 or 4) of a picture of 16 bits a channel; None for others and turned TIFFs."""
     tiles = getattr(picture, "tile", ())
     is_deep = picture.mode in ("RGB", "RGBA") and any(";16" in str(tile[3]) for tile in tiles)
     if not is_deep or (picture.format == "TIFF" and orientation(picture) != 1):
@@ -99,11 +93,7 @@ def deep_codes(picture: Image.Image, path: Path) -> NDArray[np.uint16] | None:
 
 
 def reduce(picture: Image.Image, factor: int) -> int:
-    """Let an open picture be decoded at a fraction of its size, where its format allows it.
-
-    Returns the reduction that decoding will apply, at most the 1, 2, 4 or 8 wanted. Pixels past the
-    right and lower border fill the last ones where the size is no multiple of it.
-    """
+    """Let an open JPEG be decoded at a fraction 1, 2, 4 or 8 of its size; the reduction applied."""
     width, height = picture.size
     if factor > 1 and picture.format == "JPEG":
         picture.draft(None, (max(1, width // factor), max(1, height // factor)))
@@ -132,10 +122,7 @@ def may_hold_alpha(path: Path) -> bool:
 
 @contextmanager
 def header(path: Path) -> Iterator[Image.Image]:
-    """A picture file whose pixels are read when they are asked for, of a size that can be decoded.
-
-    `CaptureError` as for `opened`, but for damage to the pixels.
-    """
+    """A picture of a size that can be decoded, its pixels unread; or a `CaptureError`."""
     suffix = path.suffix.lower()
     formats = _FORMATS
     if suffix in HEIF_SUFFIXES:
@@ -230,8 +217,7 @@ def _register_heif(path: Path) -> None:
 def _developed(path: Path, file: BinaryIO) -> Image.Image:
     """A RAW file at half its size, 8-bit sRGB: the camera's white balance, no automatic exposure.
 
-    No tone curve but sRGB's own is applied, so that its values are linear once that is undone.
-    Half the size takes each colour from its own sensor pixels, so nothing is interpolated.
+    No tone curve but sRGB's own is applied. Half the size takes each colour from its own pixels.
     """
     try:
         import rawpy

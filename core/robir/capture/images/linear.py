@@ -47,10 +47,7 @@ def read_linear(path: Path, file: BinaryIO, most: int) -> Image.Image:
 
 
 def is_floating_tiff(file: BinaryIO) -> bool:
-    """Whether a file, left at its beginning, is a TIFF file of floating-point numbers.
-
-    ValueError for endless entries, before a decoder makes millions of numbers of them.
-    """
+    """Whether a file is a TIFF of floating-point numbers; ValueError for endless entries."""
     counts, is_floating = {}, False
     try:
         if file.read(4) in (b"II*\0", b"MM\0*"):

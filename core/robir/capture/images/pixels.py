@@ -281,10 +281,7 @@ def pixels_of(picture: Image.Image, turn: int = 1) -> Photo:
 def in_srgb(
     picture: Image.Image, deep: NDArray[np.uint16] | None, path: Path
 ) -> tuple[Image.Image, tuple[str, ...]]:
-    """A decoded picture in 8-bit sRGB with straight alpha, and what was found of its colours.
-
-    `deep` holds its pixels where they have 16 bits, as `deep_codes` has them.
-    """
+    """A picture in 8-bit sRGB with straight alpha, by its 16-bit codes if any, and its colours."""
     space = space_of(picture)
     if space is not None and space.name in HDR.values():
         message = f"{path} holds HDR codes ({space.name}), which are no display values"
@@ -325,10 +322,7 @@ def _eight_bits(codes: NDArray[Any]) -> Bytes:
 
 
 def is_premultiplied(codes: NDArray[Any]) -> bool:
-    """Whether no pixel (H, W, 4) has a channel above its alpha, and soft pixels are as much darker.
-
-    The second is for dark objects, whose straight colours are below nearly any alpha.
-    """
+    """Whether colours (H, W, 4) are below alpha throughout, and darker where that is soft."""
     most = np.iinfo(codes.dtype).max
     brightest, alpha = codes[:, :, :3].max(axis=2), codes[:, :, 3]
     soft, full = (alpha > 0) & (alpha < most), alpha == most

@@ -94,11 +94,7 @@ def read_view(
 
 
 def object_box(mask: Bytes) -> Box | None:
-    """The part of a picture about its object, by its mask (H, W).
-
-    The mask's bounding box with a margin, but for sides where the picture ends; None where the
-    whole picture is hardly larger, or the mask is empty.
-    """
+    """The box of the object by its mask (H, W), with a margin; None where that saves little."""
     inside = mask >= INSIDE
     rows, columns = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
     if len(rows) == 0:

@@ -38,11 +38,7 @@ NEAR_RIM = 3.0  # pixels from a rim within which the object's own colour is read
 
 
 def backdrop_masks(views: Sequence[View], *, is_lossy: bool) -> tuple[Layer, ...] | None:
-    """Share (H, W) of each pixel that the object covers, where all photographs have one backdrop.
-
-    None where there is none of one colour, or nothing before it. `is_lossy` compression leaves
-    ringing about the object.
-    """
+    """Share (H, W) of pixels that the object covers before one backdrop of all, or None."""
     edges = np.concatenate([_strip(view.image_display) for view in views]).astype(np.int16)
     colour = np.median(edges, axis=0).astype(np.int16)
     if (np.abs(edges - colour).max(axis=1) <= FLAT).mean() < BARE:
@@ -123,10 +119,7 @@ def _is_empty(
 
 
 def _coverage(apart: NDArray[np.int16], behind: NDArray[np.bool_]) -> Layer:
-    """Share (H, W) of each pixel that the object covers, from its difference to the backdrop.
-
-    A pixel on the rim mixes both; the object's own colour is that of the nearest pixel within.
-    """
+    """Share (H, W) of pixels that the object covers; a rim mixes its colour and the backdrop's."""
     near = cv2.dilate(behind.astype(np.uint8), np.ones((3, 3), np.uint8)) == 1
     rim, within = near & ~behind, ~near
     covered = (~behind).astype(np.float32)

@@ -146,11 +146,7 @@ def reduced(views: Sequence[View], side: int) -> list[Picture]:
 
 
 def recut(pictures: Sequence[Picture], outlines: Sequence[Layer]) -> list[Layer]:
-    """Masks (H, W), 1 on the object, cut again near the outlines of a surface.
-
-    Colours alone cannot tell a shadow from what casts it; a surface can, to within a few pixels.
-    `outlines` (H, W) are signed distances to the surface's outline, pixels, negative on it.
-    """
+    """Masks (H, W) cut again near a surface's outline, at signed distances (H, W), pixels."""
 
     def cut(pair: tuple[Picture, Layer]) -> Layer:
         picture, outline = pair
@@ -162,10 +158,7 @@ def recut(pictures: Sequence[Picture], outlines: Sequence[Layer]) -> list[Layer]
 
 
 def sharpened(image_display: Bytes, belief: Layer) -> Bytes:
-    """Mask (H, W) uint8 of a photograph (H, W, 3), 255 on the object, along the photograph's edges.
-
-    `belief` (h, w) in [0, 1] is the same picture smaller.
-    """
+    """Mask (H, W), 255 inside, along a photograph's edges, by a belief (h, w) in [0, 1]."""
     height, width = image_display.shape[:2]
     small = _without_crumbs(belief > 0.5)
     mask = np.zeros((height, width), np.uint8)
@@ -219,10 +212,7 @@ def _near_points(camera: Camera, points: Array) -> Mask:
 
 
 def _like_points(pictures: Sequence[Picture], points: Array, priors: Sequence[Mask]) -> list[Mask]:
-    """Pixels of colours that points of the object have in all photographs together.
-
-    What lies beyond the volume in the same photograph must have them half as often.
-    """
+    """Pixels of colours that points of the object have, twice as often as what lies beyond."""
     cells = [_colours(picture.lab) for picture in pictures]
     counts = np.zeros(4096)
     for picture, own in zip(pictures, cells, strict=True):

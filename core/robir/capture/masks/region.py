@@ -48,10 +48,7 @@ class Region:
     origin: str  # how the region was found, one clause for the user
 
     def cells(self, count: int) -> tuple[Array, float]:
-        """Centres (N, 3) of cells that fill the box above the plane, and half the side of one.
-
-        There are `count` along the longest side.
-        """
+        """Centres (N, 3) of `count` cells a longest side, above the plane, and half a side."""
         side = 2.0 * float(self.half.max()) / count
         number = np.maximum(np.ceil(2.0 * self.half / side - 1e-9).astype(int), 1)
         ticks = [side * (np.arange(n) - 0.5 * (n - 1)) for n in number]
@@ -69,10 +66,7 @@ class Region:
 
 
 def focus(cameras: Sequence[Camera]) -> tuple[Array, float] | None:
-    """The point (3,) nearest to all viewing axes, outliers apart, and the cameras' distance to it.
-
-    None where the axes are parallel or nothing lies ahead.
-    """
+    """The point (3,) nearest to most viewing axes, and the cameras' distance to it; or None."""
     place = np.stack([camera.position for camera in cameras])
     forward = np.stack([camera.forward for camera in cameras])
     across = np.eye(3) - forward[:, :, None] * forward[:, None]
@@ -117,10 +111,7 @@ def find_region(cameras: Sequence[Camera], points: Array) -> Region | None:
 
 
 def region_of_box(box: Sequence[float], cameras: Sequence[Camera], points: Array) -> Region:
-    """Region a user has given: centre x, y, z and sides x, y, z of an upright box.
-
-    Sparse points (N, 3) may be none.
-    """
+    """Region of a user's upright box: centre x, y, z and sides; sparse points (N, 3) or none."""
     centre, half = np.array(box[:3]), 0.5 * np.array(box[3:])
     distance = float(np.median([np.linalg.norm(c.position - centre) for c in cameras]))
     near = points[np.linalg.norm(points - centre, axis=1) < max(_REACH * distance, 2 * half.max())]
@@ -155,10 +146,7 @@ def _object_points(points: Array, plane: Plane | None, middle: Array, distance: 
 
 
 def _foot(own: Array, plane: Plane | None) -> Array:
-    """Where an object whose points end far above the plane may touch it: nothing floats.
-
-    A plain leg or stem shows few points.
-    """
+    """Where an object whose points end far above the plane may touch it: nothing floats."""
     if plane is None or len(own) == 0:
         return own[:0]
     height = plane.height(own)

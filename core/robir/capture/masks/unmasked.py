@@ -50,9 +50,8 @@ def with_guessed_masks(
 ) -> tuple[Loaded, list[Finding]]:
     """Guess the masks of photographs that have none, and read the photographs again with them.
 
-    `how` is the settings of the stage, the folder where the masks are written, or None to keep no
-    files, and the mesh that the user hands in, or None. Where no masks could be made, there is an
-    error among the findings, and the photographs are as they came.
+    `how` is the settings, the folder for masks and the user's mesh, either None. Where no masks
+    could be made there is an error among the findings.
     """
     config, folder, mesh = how
     progress(0.0, "looking for the object")
@@ -107,10 +106,7 @@ def _cuts(
 
 
 def about_mesh(vertices: Array, chosen: Chosen, views: Sequence[View]) -> dict[str, GuessedMask]:
-    """Rough masks by name: the convex hull of what shows a mesh (N, 3), where it is shown whole.
-
-    Views are uncut.
-    """
+    """Rough masks by name: the convex hull of what shows a mesh (N, 3) whole, in uncut views."""
     cuts = {}
     for (frame, _), view in zip(chosen, views, strict=True):
         pixels, depth = view.camera.project(vertices)

@@ -107,10 +107,7 @@ def adjust(views: Sequence[View]) -> Adjustment | None:
 
 
 def moved_cameras(given: Sequence[Camera], tracks: Tracks, *, zooms: bool) -> list[Camera]:
-    """Cameras of least robust error (Cauchy), in the frame of the given ones.
-
-    All of them are seen through one lens of the median focal length, which `zooms` leaves free.
-    """
+    """Cameras of least robust error (Cauchy), in the frame of the given ones, of one free lens."""
     pycolmap = sfm.library()
     focal = float(np.median([camera.fx for camera in given]))
     model = pycolmap.Reconstruction()

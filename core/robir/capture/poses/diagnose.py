@@ -130,10 +130,7 @@ def _cells(pixels: NDArray[np.float64], longer_side: int) -> NDArray[np.int64]:
 def _sampson(
     one: Any, two: Any, x: NDArray[np.float64], y: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Distances of matches from the epipolar geometry of two posed images, at focal length one.
-
-    First order, after Sampson; Hartley and Zisserman 2003, equation 11.9.
-    """
+    """Distances of matches from epipolar lines, focal length one (Hartley and Zisserman, 11.9)."""
     relative = two.cam_from_world() * one.cam_from_world().inverse()
     a, b, c = relative.translation
     cross = np.array([[0.0, -c, b], [c, 0.0, -a], [-b, a, 0.0]])
@@ -207,10 +204,7 @@ def read_links(place: Workplace, photographs: Sequence[Prepared]) -> Links:
 def judge(
     photographs: Sequence[Prepared], links: Links, models: Sequence[pycolmap.Reconstruction]
 ) -> list[Finding]:
-    """What came out of all that was tried, in words; models with the largest first.
-
-    An error among the findings means that the largest model is of no use.
-    """
+    """What came out, in words, models with the largest first; an error if that is of no use."""
     placed = []
     for model in models:
         posed = {image.name for image in model.images.values() if image.has_pose}
@@ -249,10 +243,7 @@ def judge(
 
 
 def look_alikes(photographs: Sequence[Prepared], verdict: Verdict, forgotten: int) -> list[Finding]:
-    """What sides that look alike did to the model that is used.
-
-    `forgotten` pairs' matches were left out to make it.
-    """
+    """What sides that look alike did to the model, of which so many pairs were left out."""
     if not verdict.broken and not forgotten:
         return []
     message = "The object looks alike from several sides"

@@ -134,10 +134,7 @@ class _Registration:
     def _models(
         self, photographs: Sequence[Prepared]
     ) -> tuple[list[pycolmap.Reconstruction], list[Finding]]:
-        """Models, the largest refined; where sides that look alike led it astray, anew.
-
-        A stretch that stood wrong ties others together, so that each model shows new suspects.
-        """
+        """Models, the largest refined; anew where sides that look alike led it astray."""
         telling = self._step("cameras", "placing cameras:")
         models = self._mapped(len(photographs), telling)
         if not models:
@@ -232,10 +229,7 @@ class _Copy:
 def prepare(
     root: Path, photographs: Sequence[Path], folder: Path, progress: Progress
 ) -> tuple[list[Prepared], list[Finding]]:
-    """Copy photographs upright, grey and small; one entry for each that is read and no repetition.
-
-    They are named by their paths below `root`. The copies go to `folder`.
-    """
+    """Copy photographs upright, grey and small; one entry for each that is read and no twin."""
     copies: list[_Copy] = []
     findings: list[Finding] = []
     broken: list[str] = []

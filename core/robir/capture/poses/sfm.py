@@ -167,10 +167,7 @@ def match(
 def map_cameras(
     place: Workplace, count: int, seed: int, progress: Progress
 ) -> list[pycolmap.Reconstruction]:
-    """Place so many cameras one by one; models, the one with the most photographs first.
-
-    One thread, for sums in another order would give another model from the same seed.
-    """
+    """Place so many cameras on one thread, for the sums' order; models, the largest first."""
     pycolmap = library()
     options = pycolmap.IncrementalPipelineOptions()
     options.num_threads = 1
@@ -210,9 +207,8 @@ def map_cameras(
 def refine(model: pycolmap.Reconstruction) -> pycolmap.Reconstruction:
     """A copy of a model, all cameras and points adjusted once more, robustly, lenses centred.
 
-    The mapper minimises squares, so that a few false matches bend focal length and distortion; and
-    it takes the middle of the picture for the lens's axis. The Cauchy loss cares for the first;
-    for the second there must be enough photographs of each lens.
+    A few false matches bend focal length and distortion in the mapper's squares, which the Cauchy
+    loss mends. Lenses are centred only if there are enough photographs of each.
     """
     pycolmap = library()
     counts = Counter(image.camera_id for image in model.images.values() if image.has_pose)

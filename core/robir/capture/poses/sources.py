@@ -60,11 +60,7 @@ def is_video(source: Path) -> bool:
 
 
 def find_photographs(source: Path) -> list[Path]:
-    """Photographs of a folder in natural order; empty if there are none.
-
-    Those in the folder itself count; without any, those in its folder of photographs, or, if it
-    has none of a usual name, in all its folders that do not hold masks.
-    """
+    """Photographs of a folder in natural order, else of its usual folders, else of all in it."""
     own = _photographs_in(source)
     if own:
         return own

@@ -58,10 +58,7 @@ def checked(
     code: str = "bad-value",
     is_text: bool = False,
 ) -> T:
-    """A value of a file of the type that msgspec is told, or a refusal with code and cure.
-
-    `where` is its place in the file, empty for the whole of it; `is_text` that numbers are text.
-    """
+    """A value of a file, at `where`, of the type that msgspec is told, or a refusal with cure."""
     try:
         return msgspec.convert(plain, kind, strict=not is_text)
     except (msgspec.ValidationError, RecursionError) as fault:
@@ -190,11 +187,7 @@ def without_others(pictures: Sequence[Path]) -> list[Path]:
 
 
 def children(folder: Path) -> list[Path]:
-    """What lies in a folder, sorted by name; nothing where it cannot be read.
-
-    Links to folders do not count, so that no search leaves the capture or goes in circles; but for
-    those named like folders of photographs.
-    """
+    """What lies in a folder, by name, empty if unreadable; linked folders only of usual names."""
     try:
         with os.scandir(folder) as entries:
             found = sorted(

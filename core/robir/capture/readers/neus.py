@@ -152,10 +152,7 @@ _MAX_NUMBERS = 17 * 1_000_000
 
 
 def read_llff(path: Path) -> FrameSet:
-    """Read poses and intrinsics, rows in order of the names as text.
-
-    The numeric order is in `other_order` where it differs.
-    """
+    """Poses and intrinsics of LLFF by names as text; by number in `other_order` if that differs."""
     root = path.parent
     rows = _llff_rows(path)
     folder = next((root / n for n in ("images", _MATTED) if (root / n).is_dir()), root)

@@ -201,10 +201,7 @@ class _Odometry(msgspec.Struct):
 
 
 def read_stray_scanner(path: Path, taken: Path | None = None) -> FrameSet:
-    """Read the poses of the frames that were taken out of the video of Stray Scanner.
-
-    They are in one of the usual folders, or in the one given.
-    """
+    """Poses of the frames of Stray Scanner's video, in a usual folder or in the one given."""
     root = path.parent
     places = [taken] if taken else [root / name for name in reversed(IMAGE_FOLDERS)]
     files = [file for place in places for file in pictures_in(place)]

@@ -121,10 +121,7 @@ def rotation(heading: float, pitch: float, roll: float) -> Array:
 def _film_lens(
     photograph: Path, focal: float, middle: tuple[float, float], distortion: Distortion
 ) -> Lens:
-    """Intrinsics in pixels of a photograph as stored; any will do if it cannot be opened.
-
-    The focal length is for a frame 36 wide, the principal point's offset in longer sides.
-    """
+    """Intrinsics in pixels of focal length on a frame 36 wide and offset in longer sides."""
     size = stored_size(photograph) if photograph.is_file() else None
     if size is None:
         return Lens(angle_x=1.0)

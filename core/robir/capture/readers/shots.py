@@ -42,11 +42,7 @@ def frame_set(
     findings: Sequence[Finding] = (),
     points: Array | None = None,
 ) -> FrameSet:
-    """Find the photographs that cameras name, and name the frames; points (N, 3) are sparse.
-
-    Photographs whose place is stated are looked for by name if none of them is there, as for a file
-    from another machine.
-    """
+    """Frames of the photographs that cameras name, looked for by name if none is where stated."""
     if not shots:
         message = f"{path} holds no camera with a pose"
         cure = "Let the program that wrote it find the cameras, and export them again."

@@ -112,11 +112,7 @@ def looks_like(path: Path) -> bool:
 
 
 def read_synthetic(root: Path) -> FrameSet:
-    """Read a NeRF-synthetic folder; test views come from the test file, else the val file.
-
-    A test file whose photographs are all absent holds cameras to be rendered, as BlenderNeRF writes
-    it, and is left out.
-    """
+    """A NeRF-synthetic folder; test views are of the test file, else of val, with photographs."""
     path = root / TRAIN
     shots, findings = _shots(path, _load(path))
     tests = [root / name for name in ("transforms_test.json", "transforms_val.json")]
@@ -136,10 +132,7 @@ def _are_there(shots: Sequence[Shot]) -> bool:
 
 
 def read(path: Path) -> FrameSet:
-    """Read poses, intrinsics, masks and splits of nerfstudio or instant-ngp.
-
-    Poses are in the frame from before `applied_transform`.
-    """
+    """Poses before `applied_transform`, lenses, masks and splits of nerfstudio or instant-ngp."""
     content = _load(path)
     undo = _undoing(path, content)
     shots, findings = _shots(path, content)

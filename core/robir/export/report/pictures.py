@@ -81,11 +81,7 @@ def _alpha(layers: Layers) -> Picture:
 def write_contact(
     path: Path, view: View, layers: Layers, own: dict[str, Picture], rendering: Rendering
 ) -> None:
-    """Write a view's photograph, re-render, albedo and relit picture as one small picture.
-
-    Where nothing was relit the last one is trust: white where albedo is certain, black where its
-    standard error reaches one natural-log unit.
-    """
+    """Write a photograph, its re-render, albedo, and relit or trust (white is sure) in small."""
     alpha, frame = _alpha(layers), window(view.mask)
     pictures = [np.dstack([view.image_display, view.mask]), _rerender(view, own, rendering)[0]]
     pictures.append(np.dstack([layer_pictures(layers)["albedo"], alpha]))
