@@ -97,7 +97,7 @@ class Camera:
         return (depth > 0) & inside.all(axis=1)
 
     def off_axis(self, pixels: Array) -> Array:
-        """Squared distances (N,) of points (N, 2) from the lens's axis, at most 1; a corner's is 1."""
+        """Squared distances (N,) of points (N, 2) from the lens's axis; a corner has 1 at most."""
         away = pixels - [self.cx, self.cy]
         width, height = self.whole_size
         return ((away**2).sum(1) * 4 / (width**2 + height**2)).clip(max=1.0)
