@@ -24,8 +24,7 @@ from robir.jobs.paths import STAGES, write_json
 MOST_TASKS = 1000  # largest array that Slurm takes by default (MaxArraySize)
 _MIB = 1 << 20
 
-# what Slurm runs; everything particular is in its words and its variable
-_SCRIPT = Path(__file__).with_name("templates") / "slurm.sh"
+_SCRIPT = Path(__file__).with_name("templates") / "slurm.sh"  # fixed; all else are words
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,11 +42,9 @@ class Step:
 
     name: str  # of the step, letters only
     words: tuple[str, ...]  # of the command after `robir`; a place is spelt {{Param.NAME}}
-    # numbers, rising, each of which the command is given as `--task`; empty for one task without
-    tasks: tuple[int, ...] = ()
+    tasks: tuple[int, ...] = ()  # numbers, rising, given as `--task`; empty for one task without
     after: str = ""  # step that has to end before; empty for none
-    # whether each task waits but for the one of its number, and for its good end
-    is_paired: bool = False
+    is_paired: bool = False  # whether a task waits for that of its number alone, and its good end
     memory: int = 0  # bytes that a task needs
     needs_gpu: bool = False  # whether a task asks for a graphics card
     queue: str = ""  # Slurm's partition; empty for the usual one

@@ -39,8 +39,7 @@ _KILLED = -9
 _FINAL = frozenset(
     kind.exit_code for kind in (UsageError, CaptureError, QualityError, CancelledError)
 )
-# how a process ends that had too little memory
-_HUNGRY = frozenset({_KILLED, DeviceError.exit_code})
+_HUNGRY = frozenset({_KILLED, DeviceError.exit_code})  # had too little memory
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,8 +66,7 @@ class LocalBatch:
     """A batch at work."""
 
     paths: LibraryPaths  # the library
-    # all captures in the plan's order; those that are done before are marked so
-    items: Sequence[Item]
+    items: Sequence[Item]  # in the plan's order; those done before are marked so
     limits: Limits  # see `Limits`
     program: Sequence[str]  # words before those of a request, such as PYTHON -P -m robir
     _waiting: list[Item] = field(default_factory=list)

@@ -35,13 +35,11 @@ class Row:
     state: str  # as of `Standing`, or "doubtful"
     word: str = ""  # what is said of it: the result's verdict, else its state
     sentences: tuple[str, ...] = ()  # why it failed, or the verdict's reason and remedy
-    # "psnr" in dB, "views", "seconds" of the processor, "preset"; empty without a result
-    facts: Mapping[str, Any] = field(default_factory=dict)
+    facts: Mapping[str, Any] = field(default_factory=dict)  # psnr (dB), views, seconds, preset
     tags: tuple[str, ...] = ()  # of its asset
     report: str = ""  # its own report from the library's folder; empty without one
     picture: str = ""  # its pictures, likewise
-    # the formats that the library offers, each with its file, likewise
-    files: Mapping[str, str] = field(default_factory=dict)
+    files: Mapping[str, str] = field(default_factory=dict)  # format and file, likewise
 
 
 def row_of(entry: Entry, standing: Standing, paths: LibraryPaths, formats: Sequence[Format]) -> Row:

@@ -45,8 +45,7 @@ class Entry:
     author: str = ""  # as in `AssetFacts`, and so are the next three
     licence: str = ""  # of the asset
     tags: tuple[str, ...] = ()  # of the asset
-    # of the asset; empty for its first tag, else the folder that holds the capture
-    catalogue: str = ""
+    catalogue: str = ""  # of the asset; empty for its first tag, else the folder of the capture
 
     def config(self) -> RunConfig:
         """The resolved settings, or a `ConfigError`."""

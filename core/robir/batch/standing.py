@@ -26,8 +26,7 @@ class Standing:
     state: State  # "done" also where the result failed its own quality check
     fraction: float = 0.0  # share that is done, in [0, 1]
     message: str = ""  # what is being done, or why it ended
-    # what its process ended with; None while it has not, or where it was killed
-    exit_code: int | None = None
+    exit_code: int | None = None  # None while it runs, or where it was killed
 
 
 def is_done(plan: Plan, entry: Entry, paths: LibraryPaths) -> bool:

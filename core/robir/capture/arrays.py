@@ -17,8 +17,7 @@ from robir.capture.refusal import DAMAGED_ARRAYS
 from robir.errors import StorageError
 from robir.jobs.names import regular
 
-# largest set of arrays of a result that is read at once; 8192 texels a side take half of it
-MAX_STORED_BYTES = 1 << 32
+MAX_STORED_BYTES = 1 << 32  # of a result that is read at once; 8192 texels a side take half of it
 PICTURES = {...: "u1 + + 3|4"}  # form of pictures by the views' names, for `stored_arrays`
 _HEADERS = {(1, 0): numpy_format.read_array_header_1_0, (2, 0): numpy_format.read_array_header_2_0}
 

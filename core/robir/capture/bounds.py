@@ -28,8 +28,7 @@ INSIDE = 64  # mask value from which a pixel counts as object; low, so that thin
 _LEVELS = 3
 _AGREEMENT = 0.9
 
-# side of a cell, as a share of its distance from the origin, that numbers still tell apart
-_FINEST = 1e-9
+_FINEST = 1e-9  # side of a cell, as a share of its distance from the origin, that numbers resolve
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,8 +46,7 @@ class Silhouette:
 
     camera: Camera
     distance: NDArray[np.float32]  # (H, W) pixels to the nearest object pixel, 0 on it
-    # whether the object is cut off at the left, right, upper and lower border
-    is_open: tuple[bool, bool, bool, bool]
+    is_open: tuple[bool, bool, bool, bool]  # cut off at the left, right, upper and lower border
 
 
 def sphere_from_masks(views: Sequence[View], start: Bounds | None) -> Hull | None:

@@ -17,8 +17,7 @@ from robir.maths.similarity import Similarity
 
 Array = NDArray[np.float64]
 
-# left, top, right and bottom edge of a part of a picture, whole pixels
-Box = tuple[int, int, int, int]
+Box = tuple[int, int, int, int]  # left, top, right and bottom edge of a part, whole pixels
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

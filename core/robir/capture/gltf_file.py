@@ -43,8 +43,7 @@ class Part:
     vertices: NDArray[np.float64]  # (N, 3) float64
     faces: NDArray[np.int64]  # (F, 3) int64
     uvs: NDArray[np.float64] | None = None  # (N, 2) float64, v upwards; None where there are none
-    # (N, 3) float64, as the file has them; None where it has none
-    normals: NDArray[np.float64] | None = None
+    normals: NDArray[np.float64] | None = None  # (N, 3) as in the file, if any
     material: int = -1  # its number; -1 for none
 
 

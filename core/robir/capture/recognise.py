@@ -309,8 +309,7 @@ def _stop_on_errors(findings: list[Finding]) -> None:
 
 
 _MAX_POINTS = 4000  # sparse points that are shown at most
-# radius about the cameras' common focus, against their distance, within which an object is likely
-_REACH = 0.25
+_REACH = 0.25  # radius about the cameras' focus, against their distance, where an object is likely
 
 
 def check_capture(

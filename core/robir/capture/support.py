@@ -14,8 +14,7 @@ from robir.maths.similarity import Similarity
 
 Array = NDArray[np.float64]
 
-# distance from the plane at which a point still lies on it, against the cameras' distance
-TOLERANCE = 0.008
+TOLERANCE = 0.008  # distance from the plane of points on it, against the cameras' distance
 PATCH = 0.05  # side of the patches by which points are counted, against the cameras' distance
 TRIPLES = 1500  # planes tried
 LEAST_PATCHES = 12  # patches a support plane must hold points in

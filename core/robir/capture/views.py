@@ -23,16 +23,14 @@ from robir.capture.refusal import CaptureRefusedError, grouped, note, refuse, so
 from robir.capture.support import Plane
 from robir.workers import blocks, side_by_side
 
-# a photograph of so many pixels is decoded in a second, whatever the others have
-HARMLESS_PIXELS = 16_000_000
+HARMLESS_PIXELS = 16_000_000  # decoded in a second, whatever the others have
 MAX_RATIO = 16  # times the pixels of a capture's usual photograph that one may have
 Array = NDArray[np.float64]
 
 _TOGETHER = 8  # photographs between two reports of progress
 _AT_ONCE = 4  # of these, read at a time: each takes ten times its pixels' bytes and more
 
-# told the share of the work done, in [0, 1], and what is being done
-Progress = Callable[[float, str], None]
+Progress = Callable[[float, str], None]  # told the share of the work done, in [0, 1], and what
 
 
 def unheard(fraction: float, message: str) -> None:
@@ -47,8 +45,7 @@ class Loaded:
     views: tuple[View, ...]  # in the order of the frames; a view without a mask has a full one
     maskless: tuple[str, ...]  # names of the views without a mask
     findings: tuple[Finding, ...]  # one error a photograph that could not be read, and notes
-    # what the object stands on, where masks were guessed and it was found
-    table: Plane | None = None
+    table: Plane | None = None  # what guessed masks found that the object stands on
     is_linear: bool = False  # whether no photograph went through a tone curve but sRGB's
 
 

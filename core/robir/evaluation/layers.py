@@ -36,8 +36,7 @@ _TEXTURES = {
     "coverage?": "f T T", "disagreement?": "f T T", "uncertainty?": "f T T", "specular?": "f",
 }  # fmt: skip
 
-# rays along either side of a pixel where a layer holds means, as a renderer's passes do
-SUB_PIXELS = 3
+SUB_PIXELS = 3  # rays along either side of a pixel whose mean a layer holds, as in a renderer
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,8 +50,7 @@ class Layers:
     normal: Array  # (H, W, 3), unit, world
     albedo_linear: Array  # (H, W, 3), linear Rec.709
     roughness: Array  # (H, W), perceptual
-    # (H, W), standard error of log albedo, or None where a result states none
-    uncertainty: Array | None
+    uncertainty: Array | None  # (H, W), standard error of log albedo, if stated
 
 
 def shaded_mesh(paths: JobPaths) -> Mesh:

@@ -42,8 +42,7 @@ from robir.transport.observe import MASK_INSIDE, spread_views
 
 Picture = NDArray[np.uint8]
 Pictures = dict[str, Picture]  # RGBA codes by the view's name
-# longer side, pixels, that all is scored at, whatever size the photographs are stored in
-SIDE = 400
+SIDE = 400  # longer side, pixels, that all is scored at, whatever size photographs are stored in
 STRIP_VIEWS = 3  # held-out photographs that are shown
 NOTEWORTHY = 0.1  # loss below which no stage is named, dB
 
@@ -116,8 +115,7 @@ class Judged:
 
     view: View  # at the size that is scored
     whole: NDArray[np.bool_]  # (H, W) pixels that are wholly object
-    # (H, W) those of them where the mesh is met and some photograph shows the point
-    seen: NDArray[np.bool_]
+    seen: NDArray[np.bool_]  # (H, W) those where some photograph shows the mesh
 
 
 def level_scores(paths: JobPaths, strip: Path | None = None) -> dict[str, Any]:

@@ -146,12 +146,10 @@ def _mean_irradiance(image: Array, normals: Array) -> Array:
 
 Array = NDArray[np.floating[Any]]
 
-# display codes at which curves are compared: nearly all of a photograph
-CODES = np.linspace(0.05, 0.95, 91)
+CODES = np.linspace(0.05, 0.95, 91)  # display codes at which curves are compared
 
 
-# names of scene.json for curves that are no view transform of Blender, and ours for them
-_MEASURED = {"EMoR mean": "camera"}
+_MEASURED = {"EMoR mean": "camera"}  # names in scene.json that Blender has not, and ours
 
 
 def true_curve(scene: Mapping[str, Any]) -> tone.AbstractToneCurve | None:

@@ -71,12 +71,9 @@ def exposed(
 class Exposures:
     """How the photographs of a capture were exposed and lit."""
 
-    # by which each channel is brighter than at the common exposure, log2, by the view's name; a
-    # view that is not there was exposed like all
-    steps: Mapping[str, Sequence[float]]
+    steps: Mapping[str, Sequence[float]]  # by view and channel, log2, brighter than the common one
     corner_steps: float  # by which the corners of all photographs are darker than their middle
-    # by which each is brighter per unit of the normal, log2; empty where all are in one light
-    slope_steps: Mapping[str, Sequence[float]]
+    slope_steps: Mapping[str, Sequence[float]]  # brighter per unit of the normal, log2; or empty
     curve: AbstractToneCurve  # the tone curve under which this holds
     surface: MeshCaster | None  # of the object, where there are slopes; in the frame of the views
 

@@ -24,8 +24,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.floating[Any]]
 Picture = NDArray[np.uint8]
 
-# longer side of a picture that is cut to the object, pixels: as much as a page can show
-MAX_SIDE = 320
+MAX_SIDE = 320  # longer side of a picture that is cut to the object, pixels
 _MARGIN = 1.08
 _MAX_ROWS = 4
 _GAP = 4

@@ -144,8 +144,7 @@ def intersection_over_union(estimate: Mask, truth: Mask) -> float:
 Floats = NDArray[np.float32]
 Picture = NDArray[np.uint8]
 
-# photographs that are blended at a point; the next one's angle is where a weight reaches 0
-NEAREST = 4
+NEAREST = 4  # photographs that are blended at a point; the next one's angle has weight 0
 LEAST_ANGLE = 1e-3  # radians below which photographs count as equally near
 CHUNK = 1 << 15  # points that are blended at a time; memory limits them
 

@@ -50,10 +50,8 @@ _CAMERAS = {
     "photographs": [{"name": str, "camera_to_world": MATRIX, "has_truth": bool}],
 }  # fmt: skip
 
-# beside the truth of photographs: their cameras in its frame, which need not be the capture's
-PHOTOGRAPHED = "cameras.json"
-# largest EXR file, over all channels; a sky of 8192 columns has a quarter of it
-_MAX_NUMBERS = 400_000_000
+PHOTOGRAPHED = "cameras.json"  # the photographs' true cameras, in a frame of their own
+_MAX_NUMBERS = 400_000_000  # of an EXR over all channels; a sky of 8192 columns has a quarter of it
 # what reading a damaged truth raises
 _DAMAGE = (OSError, ValueError, LookupError, RuntimeError, TypeError, AttributeError, EOFError)
 
@@ -85,8 +83,7 @@ class Truth:
     vertices: Array  # (Nv, 3) of all render geometry
     faces: NDArray[np.int32]  # (Nf, 3)
     radius: float  # radius of the scene
-    # of photographs, the true one of each by name; else none
-    cameras: dict[str, Camera] = field(default_factory=dict)
+    cameras: dict[str, Camera] = field(default_factory=dict)  # of photographs, by name
 
     @property
     def exposed(self) -> NDArray[np.float64]:
@@ -270,10 +267,8 @@ def lamps_of(scene: dict[str, Any]) -> list[tuple[list[float], list[float]]]:
     return [(scene["sun_direction"], scene["sun_irradiance_rgb"])] if is_lamp else []
 
 
-# largest map; Blender takes sixteen bytes for each texel, and as many while it reads them
-MOST_TEXELS = 8192 * 4096
-# above any light in watts per square metre and steradian; sums of larger ones are no numbers
-_MOST_RADIANCE = 1e12
+MOST_TEXELS = 8192 * 4096  # Blender takes sixteen bytes for each, twice while it reads them
+_MOST_RADIANCE = 1e12  # W/(m2 sr), above any light; sums of larger ones are no numbers
 _HDR_HEAD_BYTES = 1 << 16
 _HDR_SIZE = re.compile(rb"\n[-+][XY] (\d{1,9}) [-+][XY] (\d{1,9})\n")
 

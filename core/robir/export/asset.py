@@ -18,8 +18,7 @@ from robir.settings import read_toml, settings_from_table, table_from_settings
 REVISION = 1  # raised when assets come out differently: all are then made again
 Made = Literal["blend", "usd"]
 
-# formats that are made of a finished result where they are asked for; GLB every result has
-MADE: tuple[Made, ...] = get_args(Made)
+MADE: tuple[Made, ...] = get_args(Made)  # where they are asked for; GLB every result has
 _MANIFEST = {"fingerprint": str}
 _REPORT = {"trust": {"is_trusted": bool}, "metal_share": float}
 
@@ -36,12 +35,9 @@ class AssetFacts:
     author: str = ""  # who made it
     licence: str = ""  # under which it may be used
     tags: tuple[str, ...] = ()  # words to find it by
-    # its place in the library, "/" between a catalogue and one in it; empty for none
-    catalogue: str = ""
-    # "packed" into the .blend file, or beside it with a "relative" path
-    textures: Literal["packed", "relative"] = "packed"
-    # what is made: "blend" for Blender's library, "usd" beside its textures
-    formats: tuple[Made, ...] = ("blend",)
+    catalogue: str = ""  # place in the library, "/" between levels; empty for none
+    textures: Literal["packed", "relative"] = "packed"  # into the .blend, or beside it
+    formats: tuple[Made, ...] = ("blend",)  # "blend" for Blender's library, "usd"
 
     def __post_init__(self) -> None:
         """Refuse what the file of catalogues cannot say, and what is no line of text."""

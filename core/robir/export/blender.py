@@ -32,8 +32,7 @@ _EXECUTABLE = "ROBIR_BLENDER"
 _ADDON = "ROBIR_ADDON"
 _COMMAND = "robir_scene"
 _PATIENCE = 20.0  # seconds that Blender may take to end after its last report
-# tells the command that its standard input ends with whoever waits for it, and it then, too
-_FOLLOWED = "ROBIR_FOLLOWED"
+_FOLLOWED = "ROBIR_FOLLOWED"  # tells the command to end when its standard input does
 _THREADS = "OMP_NUM_THREADS"  # tells Blender how many cores there are for it
 CURE = "install it with: pip install 'bpy>=4.5,<5.1' (Python 3.11), then run again with --resume"
 

@@ -29,8 +29,7 @@ from robir.transport.observe import spread_views
 
 REVISION = 14
 
-# a map with a hard sun that Blender ships and no capture of ours is lit by
-RELIGHT_ENVIRONMENT = "city"
+RELIGHT_ENVIRONMENT = "city"  # a map of Blender's with a hard sun, which lit no capture of ours
 RELIT_VIEWS = 2  # most views that are rendered under it
 _RERENDER = "rerender_"
 _RELIT = f"relit_{RELIGHT_ENVIRONMENT}_"

@@ -37,8 +37,7 @@ TEXTURES = (
     "albedo.png", "albedo.exr", "roughness.png", "metallic.png", "normal.png", "coverage.png",
     "uncertainty.png",
 )  # fmt: skip
-# standard error of log albedo that the brightest code of uncertainty.png stands for
-UNCERTAINTY_AT_255 = 1.0
+UNCERTAINTY_AT_255 = 1.0  # standard error of log albedo at the brightest code
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,14 +48,9 @@ class Textures:
     roughness: Array  # (T, T), perceptual, in [0, 1]
     metallic: Array | None  # (T, T) in [0, 1], or None if nothing is metal
     coverage: Array  # (T, T), share of the training views that saw the texel, in [0, 1]
-    # (T, T), one standard error of the natural log of albedo, up to one factor a channel for the
-    # whole object
-    uncertainty: Array
-    # 1 where what is no metal reflects as any paint, F0 = 0.04; 0 where it does not
-    specular: float
-    # (H, W, 3) codes of the tangent-space normal map that a handed-in mesh brought, green towards
-    # larger v, or None
-    normal_map: Codes | None = None
+    uncertainty: Array  # (T, T), standard error of log albedo, up to one factor a channel
+    specular: float  # 1 where what is no metal has F0 = 0.04; 0 where it reflects nothing
+    normal_map: Codes | None = None  # (H, W, 3) codes of the user's, green towards larger v
 
 
 def grown(image: Array, inside: NDArray[np.bool_], margin: int) -> Array:

@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 from robir.evaluation.layers import load_textures, stored_mesh
 from robir.jobs.paths import UDIM, JobPaths, of_tile, replacing
 
-# index of refraction where the surface reflects as any paint, F0 = 0.04, and where it does not
-_IOR = {True: 1.5, False: 1.0}
+_IOR = {True: 1.5, False: 1.0}  # by whether what is no metal reflects (F0 = 0.04)
 _FILE = """#usda 1.0
 (
     defaultPrim = "{name}"

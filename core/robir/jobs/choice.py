@@ -15,8 +15,7 @@ class Choice:
     chosen: str | float  # what was taken
     alternatives: tuple[str | float, ...]  # what else there was
     why: str  # the rule with its figures, in words
-    # of what was taken, on data that it was not fitted to, where that decided
-    held_out_error: float | None = None
+    held_out_error: float | None = None  # on data held out, where that decided
     cost_seconds: float | None = None  # processor time of the choice, where it was measured
 
     def plain(self) -> dict[str, Any]:

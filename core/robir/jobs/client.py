@@ -29,12 +29,10 @@ from robir.jobs.paths import JobPaths, write_json
 from robir.jobs.records import check, read_record
 from robir.jobs.status import Status, read_status
 
-# what `start` raises, each with a sentence for the user
-START_ERRORS = (UsageError, StorageError, DeviceError)
+START_ERRORS = (UsageError, StorageError, DeviceError)  # each a sentence for the user
 State = Literal["none", "starting", "running", "done", "failed", "cancelled", "died"]
 
-# longest time between the start of a worker and its lock, unless it is a child of this process
-_STARTING_SECONDS = 120.0
+_STARTING_SECONDS = 120.0  # until a worker that is no child of ours has its lock
 _LOG_LINES = 30
 _NICENESS = 10
 
@@ -44,8 +42,7 @@ _WORKER = {"started": float, "pid": (None, int), "status_before?": (None, float)
 _RUN = {"warnings?": [{"message": str}]}
 _FAILED = {"kind": str, "message?": str, "exit_code?": int}
 
-# workers that this process started, by result folder
-_children: dict[Path, subprocess.Popen[Any]] = {}
+_children: dict[Path, subprocess.Popen[Any]] = {}  # by result folder
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,14 +54,12 @@ class Request:
     preset: str = "draft"  # how much work to do
     device: str = "auto"  # "auto", "cpu" or "cuda"
     masks: Path | None = None  # folder of masks, or None for the capture's own
-    # where the object is if there are no masks, as the setting `capture.box`; empty to look for it
-    box: tuple[float, ...] = ()
+    box: tuple[float, ...] = ()  # where the object is, as `capture.box`; empty to look for it
     skips_missing: bool = False  # whether photographs that are not there are done without
     left_out: tuple[str, ...] = ()  # photographs to do without, as the setting `capture.leave_out`
     mesh: Path | None = None  # mesh that takes the place of a surface of the engine's, or None
     settings: tuple[str, ...] = ()  # further items of `--set`
-    # file of what is known of an asset that is to be made, or None for no asset
-    asset: Path | None = None
+    asset: Path | None = None  # file of facts of an asset to be made, or None
     until: str = ""  # stage after which the run ends; empty for the last
 
     def words(self) -> list[str]:
@@ -94,8 +89,7 @@ class Request:
 class Snapshot:
     """Where a reconstruction stands."""
 
-    # "none" where nothing was ever begun, "died" where the worker ended without a word
-    state: State
+    state: State  # "none" before any run, "died" where the worker ended without a word
     stage: str = ""  # stage at work or last at work; empty before the first
     fraction: float = 0.0  # share of the run that is done, in [0, 1]
     message: str = ""  # what is being done, or the sentence that says why it ended

@@ -36,5 +36,4 @@ class StageContext(Generic[ConfigT]):
     seed: int  # seed of every random generator of the stage
     device: str  # torch device, "cpu" or "cuda"
     reporter: Reporter  # progress, warnings and the request to stop
-    # mesh given by the user, or None; read by the stages capture and geometry
-    mesh: Path | None = None
+    mesh: Path | None = None  # of the user; for the stages capture and geometry

@@ -37,8 +37,7 @@ class LibraryPaths:
     state = Named("batch.json")  # where the batch stands; replaced as a whole
     lock = Named("batch.lock")  # held by the one batch that works on the whole library
     page = Named("index.html")  # the contact sheet
-    # catalogues of Blender's asset library; Blender wants this name
-    catalogues = Named("blender_assets.cats.txt")
+    catalogues = Named("blender_assets.cats.txt")  # the name that Blender wants
     openjd = Named("openjd")  # job bundle for render farms
     own = Named(".batch")  # the batch's own small files
 
@@ -56,10 +55,8 @@ class LibraryPaths:
         """What is known of a capture's asset: author, licence, tags."""
         return file_in(self.own, f"{name}.toml")
 
-    # touch a file of a capture's name in this folder to have the batch leave that out
-    dropped = Named(".batch/dropped")
-    # files of captures' names in this folder come first, the one touched last before all
-    preferred = Named(".batch/preferred")
+    dropped = Named(".batch/dropped")  # a file of a capture's name here leaves that out
+    preferred = Named(".batch/preferred")  # captures of these names first, the last touched first
 
 
 def refuse_strange(paths: LibraryPaths, results: Iterable[str] = ()) -> None:

@@ -16,8 +16,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
-# longest name of a file that every usual file system takes, with room for a suffix of ours
-MAX_NAME_BYTES = 240
+MAX_NAME_BYTES = 240  # that every usual file system takes, with room for a suffix of ours
 _CONTROL = re.compile("[\0-\x1f\x7f]")
 
 MAX_PATH_BYTES = 4000  # longest path that Linux takes, with room for a file name
@@ -92,8 +91,7 @@ def read_regular(path: Path, most: int) -> bytes:
     return content
 
 
-# largest file of poses that is read; those of thousands of photographs have a tenth of it
-MAX_POSES_BYTES = 1 << 28
+MAX_POSES_BYTES = 1 << 28  # of a file of poses; those of thousands of photographs have a tenth
 
 
 @contextmanager

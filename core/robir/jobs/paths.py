@@ -39,23 +39,16 @@ class JobPaths:
     status = Named("status.json")  # where the run stands; replaced as a whole
     events = Named("events.jsonl")  # what happened, one JSON line each; only ever appended to
     log = Named("log.txt")  # the log for people
-    # a photograph and its present re-render side by side; replaced while the run goes on
-    preview = Named("preview.png")
-    # the surface so far, coarse, capture frame; replaced while it is fitted, else absent
-    growing = Named("growing.npz")
-    # masks that were guessed for a capture without masks; the user may look and mend
-    masks = Named("masks")
-    # photographs with a handed-in mesh over them where it, or their cameras, had to move
-    mesh_fit = Named("mesh_fit.png")
+    preview = Named("preview.png")  # a photograph and its present re-render, while the run goes on
+    growing = Named("growing.npz")  # the surface so far, coarse, capture frame, while it is fitted
+    masks = Named("masks")  # guessed ones of a capture without; the user may look and mend
+    mesh_fit = Named("mesh_fit.png")  # photographs with the user's mesh over them, if moved
     cancel = Named("cancel")  # touch this file to ask the run to stop
     lock = Named("lock")  # held by the one process that works in the folder
-    # when and as which process a client started the worker; the client writes it
-    worker = Named("worker.json")
+    worker = Named("worker.json")  # when and as which process a client started the worker
     worker_log = Named("worker.log")  # all that a worker started by a client printed
-    # where results of another configuration are moved, never deleted
-    stale = Named("stages/.stale")
-    # work of the capture stage on photographs without poses; it survives a stopped stage
-    registration = Named("stages/.registration")
+    stale = Named("stages/.stale")  # results of other settings, never deleted
+    registration = Named("stages/.registration")  # poses of photographs without, if stopped
 
     def stage(self, name: str) -> Path:
         """Folder of a stage."""
@@ -69,43 +62,30 @@ class JobPaths:
         """Which of a stage's steps changed nothing on this capture, and what each cost."""
         return self.stage(name) / "steps.json"
 
-    # plane of the flat ground that the mesh shows, unit frame; else absent
-    ground = Named("stages/geometry/ground.json")
-    # where the capture was brought to stand as a handed-in mesh does; else absent
-    frame = Named("stages/geometry/frame.json")
+    ground = Named("stages/geometry/ground.json")  # plane of the flat ground, unit frame, if any
+    frame = Named("stages/geometry/frame.json")  # the capture's, by the user's mesh, if moved
     # normal map of a handed-in mesh that keeps its texture coordinates; else absent. A mesh of UDIM
     # tiles has one for each, see `of_tile`.
     normal_map = Named("stages/geometry/normal_map.png")
-    # masks of the views where the geometry stage cut guessed ones again; else absent
-    cut_masks = Named("stages/geometry/masks")
+    cut_masks = Named("stages/geometry/masks")  # guessed masks that geometry cut again
     export = Named("export")  # what the user takes away
     textures = Named("export/textures")  # texture images of the asset
     asset = Named("export/asset.glb")  # the asset as glTF binary
-    # the object as an asset of Blender's library; absent where none was asked for
-    library_asset = Named("export/asset.blend")
-    # the asset as USD, beside its textures; absent where none was asked for
-    usd = Named("export/asset.usda")
-    # what `library_asset` and `usd` were made with; written after them
-    library_facts = Named("export/asset.json")
-    # recovered light, lat-long, linear Rec.709, Blender's world frame
-    environment = Named("export/environment.exr")
+    library_asset = Named("export/asset.blend")  # for Blender's library, if asked for
+    usd = Named("export/asset.usda")  # beside its textures, if asked for
+    library_facts = Named("export/asset.json")  # of `library_asset` and `usd`, written after them
+    environment = Named("export/environment.exr")  # lat-long, linear Rec.709, Blender's world
     # recovered light without the lobes that light.json gives as Sun lamps; absent without
     environment_without_sun = Named("export/environment_without_sun.exr")
     light = Named("export/light.json")  # recovered light as lobes
-    # recovered tone curve: family, parameters, samples
-    tone_curve = Named("export/tone_curve.json")
-    # recovered tone curve as a look-up table that OpenColorIO reads
-    tone_lut = Named("export/tone_curve.cube")
-    # plot of the recovered tone curve against the other candidates
-    tone_plot = Named("export/tone_curve.png")
-    # capture cameras in the capture's own frame, for Blender
-    cameras = Named("export/cameras.json")
+    tone_curve = Named("export/tone_curve.json")  # family, parameters, samples
+    tone_lut = Named("export/tone_curve.cube")  # the curve as OpenColorIO reads it
+    tone_plot = Named("export/tone_curve.png")  # against the other candidates
+    cameras = Named("export/cameras.json")  # in the capture's frame, for Blender
     transforms = Named("export/transforms.json")  # the same as nerfstudio and instant-ngp read them
     colmap = Named("export/colmap")  # the same as a folder with a COLMAP model, sparse/0
-    # Blender scene with the asset, its light and the capture cameras
-    scene = Named("export/scene.blend")
-    # Cycles renders: re-renders of held-out views, relit views, turntables
-    renders = Named("renders")
+    scene = Named("export/scene.blend")  # asset, light and cameras in Blender
+    renders = Named("renders")  # of Cycles: held-out and relit views, turntables
 
     def rerender(self, view: str) -> Path:
         """Cycles picture of a view under the recovered light; absent where none was rendered."""
@@ -116,14 +96,11 @@ class JobPaths:
         return self.renders / f"light_{light or 'recovered'}.png"
 
     report = Named("report/index.html")  # the report as one page
-    # a view in small: photograph, re-render, albedo, and relit or trust beside each other
-    contact = Named("report/contact.jpg")
+    contact = Named("report/contact.jpg")  # photograph, re-render, albedo, relit or trust, in small
     report_json = Named("report/report.json")  # the report's numbers
     scores = Named("report/scores.json")  # scores against the truth, where it is known
-    # scores of each level of the chain against held-out photographs
-    levels = Named("report/levels.json")
-    # pictures of a few held-out photographs as each level shows them
-    levels_strip = Named("report/levels.png")
+    levels = Named("report/levels.json")  # scores of the chain's levels on held-out photographs
+    levels_strip = Named("report/levels.png")  # held-out photographs as each level shows them
     truth_sheet = Named("report/truth.png")  # pictures of the result beside the truth
 
 

@@ -34,8 +34,7 @@ class Status:
     exit_code: int | None  # what the process exits with; None while it runs
     pid: int  # process that writes this
     heartbeat: float  # Unix time of this writing, seconds
-    # latest value by name, of the finished stages and of the one at work
-    metrics: Mapping[str, Any] = field(default_factory=dict)
+    metrics: Mapping[str, Any] = field(default_factory=dict)  # latest values by name
 
 
 def read_status(path: Path) -> Status:

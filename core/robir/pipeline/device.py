@@ -151,10 +151,8 @@ def peak_memory_bytes() -> int:
 
 
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # numbers of glibc's settings, see mallopt(3)
-# freed memory at the end of the heap that is kept: more than the tensors of a step take
-KEPT_BYTES = 1 << 29
-# Larger blocks go back at once. Old versions of glibc allow no more than the second.
-LARGEST_KEPT_BYTES = (1 << 28, 32 << 20)
+KEPT_BYTES = 1 << 29  # of freed memory at the heap's end: more than the tensors of a step take
+LARGEST_KEPT_BYTES = (1 << 28, 32 << 20)  # the second for old versions of glibc
 
 
 def keep_freed_memory() -> None:

@@ -16,8 +16,7 @@ from robir.errors import CaptureError
 from robir.jobs.names import leads_out, open_regular
 
 _POSES = (".json", ".npz", ".npy", ".bin", ".txt", ".csv", ".xml", ".sfm")
-# kinds of files a capture is made of; videos and archives beside them do not count
-_SUFFIXES = frozenset([*_POSES, ".exr", *IMAGE_SUFFIXES])
+_SUFFIXES = frozenset([*_POSES, ".exr", *IMAGE_SUFFIXES])  # no videos, no archives
 _TRUTH = "truth"  # ground truth is never an input of a reconstruction
 
 

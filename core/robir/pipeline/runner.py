@@ -53,8 +53,7 @@ class RunRequest:
     execution: Execution  # device and threads
     is_resume: bool  # whether an unfinished or outdated folder may be worked on
     mesh: Path | None = None  # mesh that takes the place of a surface of our own, or None
-    # what is known of the asset for Blender's library that is to be made, or None
-    asset: AssetFacts | None = None
+    asset: AssetFacts | None = None  # facts of the asset to be made, or None
     until: str = STAGES[-1]  # stage after which the run ends; the next one goes on from there
 
     @property

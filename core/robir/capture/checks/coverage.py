@@ -93,11 +93,8 @@ def _spread(count: int) -> Array:
     return np.stack([flat * np.cos(turn), flat * np.sin(turn), z], axis=1)
 
 
-# ratio to the neighbours' sharpness below which a photograph counts as blurred: sharp ones reach
-# 0.78 and more, those blurred by a Gaussian of 2.5 pixels at most 0.73
-BLURRED = 0.76
-# sharpness that no blurred photograph exceeds: behind a Gaussian of 2.5 pixels white noise has 1.31
-SOFT = 1.45
+BLURRED = 0.76  # least ratio to the neighbours: sharp ones have 0.78, blurs of 2.5 pixels 0.73
+SOFT = 1.45  # no blurred photograph is above: behind a Gaussian of 2.5 pixels white noise has 1.31
 TEXTURED = 0.25  # ratio to the neighbours' coarser gradients below which a side is plain
 _SHARP_SIDE = 400  # longer side of the photographs that are compared, pixels, at most
 _FINE, _COARSE = 0.5, 1.5

@@ -24,8 +24,7 @@ from robir.capture.readers.files import children, without_others
 from robir.capture.refusal import error, note, some, warning
 
 MIN_VIEWS = 3  # fewer views cannot fix a surface
-# more than this are refused: ten times as many as any object needs, and each takes time
-MAX_VIEWS = 2000
+MAX_VIEWS = 2000  # ten times as many as any object needs, and each takes time
 FEW_VIEWS = 12  # below this many views, hidden sides stay guesses
 _SIDES_CURE = "Leave out the wrong ones, or set the intrinsics right."
 
@@ -120,16 +119,12 @@ def _check_lenses(frames: Sequence[Frame]) -> list[Finding]:
     return some("warning", "focal-lengths", odd, message, _SIDES_CURE)
 
 
-# distance from the origin, in radii of the object, at which 32-bit numbers lose a texel: their
-# steps are 1.2e-4 radii there
-FAR = 2000.0
+FAR = 2000.0  # radii from the origin at which 32-bit numbers lose a texel (1.2e-4 radii)
 _OBJECT = 128
 Views = tuple[View, ...]
 
-# right masks and poses reach 0.99 and more; below this, something is likely to be wrong
-GOOD_AGREEMENT = 0.97
-# below this median share of a mask explained by the others, masks and poses do not fit
-MIN_AGREEMENT = 0.8
+GOOD_AGREEMENT = 0.97  # right masks and poses reach 0.99; below, something is likely wrong
+MIN_AGREEMENT = 0.8  # below this median share that others explain, masks and poses do not fit
 
 
 def check_photographs(views: Sequence[View]) -> list[Finding]:

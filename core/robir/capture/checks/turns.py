@@ -32,8 +32,7 @@ _POINTS = 5000  # sparse points that are looked at
 # pixels within which a point that is so much farther away than another is hidden by it
 _CELL, _BEHIND = 6, 1.05
 _AGREE = 0.03  # share of a mask by which masks have to agree better to decide
-# variance of brightness at the same points, against that of the other turn, that decides
-_ALIKE = 0.9
+_ALIKE = 0.9  # variance of brightness at the same points, against the other turn's, that decides
 
 
 @dataclass(frozen=True, slots=True)

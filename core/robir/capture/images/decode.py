@@ -33,14 +33,11 @@ from robir.jobs.names import regular
 # the cure for a missing optional package, in one place
 INSTALL_PHOTOS = "Install what reads it with: pip install 'robir[photos]'"
 MAX_PIXELS = 100_000_000  # largest photograph: decoding takes up to sixteen bytes a pixel
-# longest side of a JPEG; other formats allow pictures that are a billion wide and one high
-MAX_SIDE = 65_535
+MAX_SIDE = 65_535  # of a JPEG; other formats allow pictures that are a billion wide and one high
 MAX_FILE_BYTES = 1 << 30  # largest file of a photograph
-# pixels that a JPEG may make the decoder go over: each of its scans goes over all of them
-MAX_DECODED = 2_000_000_000
+MAX_DECODED = 2_000_000_000  # pixels that a JPEG's scans, each over all of them, may go over
 MAX_EXIF_BYTES = 1 << 20  # largest EXIF data that is looked at; JPEG can have a sixteenth of it
-# where a picture's `info` says that it was developed here, without a tone curve
-DEVELOPED = "developed"
+DEVELOPED = "developed"  # in a picture's `info`: developed here, without a tone curve
 _FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "WEBP")
 SCAN = b"\xff\xda"
 

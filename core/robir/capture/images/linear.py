@@ -24,12 +24,10 @@ from robir.maths.primaries import rgb_to_rec709, srgb_codes
 
 Floats = NDArray[np.float32]
 
-# where a picture's `info` holds its linear Rec.709 values, (H, W, 3 or 4) float32, straight
-LINEAR = "linear"
+LINEAR = "linear"  # in a picture's `info`: linear Rec.709 values, (H, W, 3 or 4) float32, straight
 BRIGHT = 0.995  # share of the pixels that have to be below white
 _STEP = 7  # every how many-th pixel is looked at for that
-# numbers that an entry of a TIFF may have: a picture of 65,535 rows has as many strips
-_MAX_VALUES = 1 << 17
+_MAX_VALUES = 1 << 17  # of an entry of a TIFF: a picture of 65,535 rows has as many strips
 _EXIF, _FLOATING, _TEXTS = 34665, 3, (1, 2, 7)  # of these kinds entries stay bytes
 
 logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # what is wrong is said in refusals

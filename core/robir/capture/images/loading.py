@@ -36,8 +36,7 @@ from robir.workers import side_by_side
 Bytes = NDArray[np.uint8]
 Size = tuple[int, int]
 
-# pixels between those at which a lens distortion is evaluated; it is all but linear between
-_MESH = 8
+_MESH = 8  # pixels between those at which a lens distortion is evaluated; all but linear between
 
 
 @dataclass(frozen=True, slots=True)

@@ -36,8 +36,7 @@ from robir.maths.primaries import (
 _PLAIN = ("L", "RGB", "CMYK")  # modes that LittleCMS is given
 _BAND = 1 << 18  # pixels that are converted at a time
 _MOST_CHUNKS = 64  # chunks of a PNG before its pixels that are looked at
-# largest profile that is looked at, bytes; the tables of printers have two million
-MAX_PROFILE = 1 << 22
+MAX_PROFILE = 1 << 22  # largest profile, bytes; the tables of printers have two million
 _ADOBE = ("Adobe RGB (by EXIF)", ((0.64, 0.33), (0.21, 0.71), (0.15, 0.06)), D65, 563 / 256)
 _P3 = ((0.68, 0.32), (0.265, 0.69), (0.15, 0.06))
 _REC709 = ("Rec.709", REC709, D65)
@@ -47,8 +46,7 @@ _PRIMARIES = {
     11: ("DCI-P3", _P3, (0.314, 0.351)),
     12: ("Display P3", _P3, D65),
 }
-# exponents by code point; the curves of video and of sRGB itself are shown as sRGB's is
-_TRANSFER = {4: 2.2, 5: 2.8, 8: 1.0, 17: 2.6}
+_TRANSFER = {4: 2.2, 5: 2.8, 8: 1.0, 17: 2.6}  # exponents; video's curves are shown as sRGB's
 HDR = {16: "PQ", 18: "HLG"}  # curves whose codes are no display values
 _CMS_FAULTS = (ImageCms.PyCMSError, OSError, ValueError, TypeError)
 
@@ -59,8 +57,7 @@ class Space:
 
     name: str  # for the user
     matrix: Matrix | None = None  # (3, 3) linear values to linear Rec.709
-    # codes in [0, 1] to linear values, for each channel
-    curves: tuple[Callable[[Matrix], Matrix], ...] = ()
+    curves: tuple[Callable[[Matrix], Matrix], ...] = ()  # codes in 0..1 to linear values
     profile: bytes = b""  # ICC profile
 
     @property
@@ -243,14 +240,11 @@ class Photo:
     """A photograph as stored."""
 
     image_display: Bytes  # (H, W, 3) uint8, display-referred, straight
-    # (H, W) uint8, or None if the file has no transparency or is opaque throughout
-    alpha: Bytes | None
+    alpha: Bytes | None  # (H, W) uint8, or None if the file is opaque throughout
     orientation: int  # EXIF orientation that was applied, 1 to 8; 1 if none was
-    # how many pixels of the file, along rows and columns, went into one of these
-    reduction: int = 1
+    reduction: int = 1  # pixels of the file, along rows and columns, in one of these
     colours: tuple[str, ...] = ()  # what was found of its colours, and done, for the user
-    # whether it is light itself, to which no tone curve but sRGB's was applied
-    is_linear: bool = False
+    is_linear: bool = False  # whether no tone curve but sRGB's was applied
 
     @property
     def size(self) -> tuple[int, int]:

@@ -22,14 +22,9 @@ from robir.capture.masks.guess import Array, Layer, sampled
 from robir.capture.masks.region import focus
 
 RING = 2  # width of the strip along the edges of a photograph that shows the backdrop, pixels
-# codes by which a backdrop of one colour varies at most: no wall that a camera saw does so little,
-# unless it is clipped
-FLAT = 2
-# the same about an object in a JPEG file: its blocks of 8 pixels carry their edges over
-RINGING = 16
-# share of the strips of all photographs that the backdrop covers at least; the object may run out
-# of some of them
-BARE = 0.9
+FLAT = 2  # codes by which a backdrop varies at most; no wall varies so little unless clipped
+RINGING = 16  # the same about an object in a JPEG file: its blocks of 8 pixels carry edges over
+BARE = 0.9  # share of all edges that the backdrop covers at least; the object may run out of some
 LEAST, MOST = 0.002, 0.9  # share of the photographs that an object covers, in the median
 LEAST_HOLE = 4  # pixels of an enclosed patch that is looked at
 RAYS, STEPS = 24, 96  # rays through each enclosed patch, and points looked at along each

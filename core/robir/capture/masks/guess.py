@@ -28,12 +28,10 @@ Layer = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
 SIDE = 320  # longer side at which masks are made, pixels
-# share of the photographs that may call a part of the object background, round by round
-DISSENT = (0.15, 0.10, 0.07, 0.05)
+DISSENT = (0.15, 0.10, 0.07, 0.05)  # of photographs may call a part background, round by round
 CELLS = 64  # along the longest side of the region
 _SLIM = 0.6  # of a cell that masks carve and pictures show: whole ones would make it fat
-# pixels beyond the volume's picture at which nothing is looked for after the first round
-_ROOM = 12
+_ROOM = 12  # pixels beyond the volume's picture that are looked at after the first round
 _DEEP = 4  # pixels within it from which it is believed against the colours in the end
 _CONTAINED = 0.85  # share of the masks that must contain a surface point of the object
 _RING = 10  # pixels on both sides of an outline by which colours are judged

@@ -28,9 +28,7 @@ MAX_VIEWS = 48  # photographs used at most to look for surface points, evenly sp
 FEATURES = 2000  # features used of a photograph at most, the strongest
 NEIGHBOURS = 3  # photographs each photograph is compared with
 _RATIO = 0.8  # greatest distance of the best match against the second best
-# distance of a match from its epipolar line at most, longer sides of a photograph: what is further
-# off is no error of cameras, but another point
-_OFF_LINE = 0.01
+_OFF_LINE = 0.01  # longer sides from its epipolar line, beyond which a match is another point
 _OFF_POINT = 1.2  # pixels a triangulated point may lie beside its features
 _LEAST_ANGLE = 2.0  # degrees between the outermost rays of a surface point
 

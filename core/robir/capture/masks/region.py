@@ -22,8 +22,7 @@ from robir.capture.support import Plane, support_plane
 
 Array = NDArray[np.float64]
 
-# radius about the focus within which the object is looked for, against the cameras' distance
-_REACH = 1.0
+_REACH = 1.0  # radius about the focus that is searched, against the cameras' distance
 _LINK = 0.08  # points this near belong together, against the cameras' distance
 _DENSE = 0.1  # points of a cell of the object at least, against those of its densest cells
 _LEAST_POINTS = 25  # fewer points than this say nothing about the object's extent
@@ -40,9 +39,7 @@ class Region:
 
     centre: Array  # (3,), capture frame
     half: Array  # (3,) half the sides of the box
-    # (K, 4) half spaces (normal, offset; inside <= 0) whose intersection is the convex hull of what
-    # is known of the object
-    core: Array
+    core: Array  # (K, 4) half spaces (normal, offset; inside <= 0): convex hull of what is known
     points: Array  # (N, 3) surface points that belong to the object, possibly none
     plane: Plane | None  # what the object stands on, or None
     origin: str  # how the region was found, one clause for the user

@@ -30,21 +30,16 @@ if TYPE_CHECKING:
     import pycolmap
 
 MIN_MATCHES = 30  # fewer verified matches are no link worth arguing about
-# cells along the longer side of a picture, by which the area that matches cover is counted
-CELLS = 20
-# pixels of the copies by which half of a pair's matches may miss their epipolar lines
-MAX_OFF = 4.0
+CELLS = 20  # along the longer side, by which the area that matches cover is counted
+MAX_OFF = 4.0  # pixels of the copies by which half of a pair's matches may miss epipolar lines
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
     """A model held against the surest links."""
 
-    # pairs of names of copies whose matches cover a great deal of both and that are far apart in
-    # the model; the surest first
-    broken: tuple[tuple[str, str], ...]
-    # pairs of names of copies by which the model ties together what the broken links separate
-    suspects: tuple[tuple[str, str], ...]
+    broken: tuple[tuple[str, str], ...]  # of copies with much in common, far apart in the model
+    suspects: tuple[tuple[str, str], ...]  # ties between what broken links separate
 
 
 def hold_against_links(
@@ -146,10 +141,8 @@ if TYPE_CHECKING:
     import pycolmap
 
 _LINK = 30  # verified matches from which on two photographs count as showing the same thing
-# median motion of matched points, in longer sides, below which the camera has not moved
-_STILL = 0.004
-# a second model of this share of the first is no leftover but half of the capture
-_COMPARABLE = 0.5
+_STILL = 0.004  # median motion of matches, in longer sides, below which the camera has not moved
+_COMPARABLE = 0.5  # a second model of this share of the first is half of the capture
 _FEW = 0.7  # below this share of photographs placed, the user is warned
 _TEXTURE = (
     "Features are corners and patterns: light the object evenly, keep photographs sharp, and put "
@@ -170,8 +163,7 @@ class Links:
     """What pairs of photographs have in common."""
 
     matches: NDArray[np.int64]  # (N, N), verified matches, symmetric
-    # median motion of matched points over all linked pairs, in longer sides; NaN without any
-    motion: float
+    motion: float  # median of matched points over linked pairs, in longer sides, or NaN
     flat_share: float  # share of the linked pairs that a plane or a mere turn explains
 
 

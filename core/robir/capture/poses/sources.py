@@ -29,18 +29,15 @@ from robir.jobs.paths import replacing
 
 FRAMES = 100  # frames taken from a video at most
 MAX_BYTES = 1 << 35  # largest video
-# longer side in pixels of the picture that sharpness is measured on: noise must not count
-_SHARPNESS_SIDE = 480
-# largest frame, a little more than 8K: decoders keep up to sixteen of them
-_MAX_FRAME_PIXELS = 36_000_000
+_SHARPNESS_SIDE = 480  # longer side, pixels, that sharpness is measured at: noise must not count
+_MAX_FRAME_PIXELS = 36_000_000  # a little more than 8K: decoders keep up to sixteen frames
 _CONTAINERS: dict[str, str] = {
     **dict.fromkeys((".mp4", ".mov", ".m4v", ".3gp"), "mov"),
     **dict.fromkeys((".mkv", ".webm"), "matroska"),
     ".avi": "avi",
 }
 _PHOTO_FOLDERS = ("images", "image", "photos", "photographs", "input", "rgb")
-# millimetres; what a "35 mm equivalent" focal length refers to
-_SMALL_FORMAT_DIAGONAL = math.hypot(36.0, 24.0)
+_SMALL_FORMAT_DIAGONAL = math.hypot(36.0, 24.0)  # millimetres, of "35 mm equivalent"
 _MILLIMETRES = {2: 25.4, 3: 10.0, 4: 1.0}  # in a unit of EXIF's focal plane resolution
 
 
@@ -49,8 +46,7 @@ class StatedLens:
     """What EXIF data says about how a photograph was taken."""
 
     body: str = ""  # maker and model of the camera, empty if not stated
-    # focal lengths as stated; photographs of one setting share their intrinsics
-    setting: tuple[float, ...] = ()
+    setting: tuple[float, ...] = ()  # focal lengths as stated; one setting has one lens
     focal: float | None = None  # focal length in widths of the longer side, or None
 
 
@@ -142,8 +138,7 @@ def take_frames(video: Path, folder: Path, progress: Progress) -> list[Finding]:
     folder.mkdir(parents=True, exist_ok=True)
     taken = 0
     try:
-        # By its suffix alone: what FFmpeg tells from the content may be a list of other files.
-        kind = _CONTAINERS[video.suffix.lower()]
+        kind = _CONTAINERS[video.suffix.lower()]  # alone: content may name other files
         container: Any
         with regular(video, MAX_BYTES) as file, av.open(file, format=kind) as container:
             if not container.streams.video:

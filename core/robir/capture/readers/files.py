@@ -28,12 +28,10 @@ from robir.capture.frames import IMAGE_SUFFIXES, MAX_NUMBER, Array
 from robir.capture.refusal import CaptureRefusedError, refuse
 from robir.jobs.names import open_regular, regular
 
-# finite, of a size that a camera may have
-Number = Annotated[float, Meta(ge=-MAX_NUMBER, le=MAX_NUMBER)]
+Number = Annotated[float, Meta(ge=-MAX_NUMBER, le=MAX_NUMBER)]  # sane size
 Positive = Annotated[float, Meta(gt=0, le=MAX_NUMBER)]  # a focal length or an angle
 Side = Annotated[int, Meta(ge=1, le=1 << 20)]  # width or height of a picture in pixels
-# what entries of a file refer to each other by
-Identity = Annotated[str, Meta(min_length=1, max_length=64)]
+Identity = Annotated[str, Meta(min_length=1, max_length=64)]  # by which entries refer to each other
 # a position, or three numbers that say how something is turned
 Vector = Annotated[list[float], Meta(min_length=3, max_length=3)]
 Turn = Annotated[list[Vector], Meta(min_length=3, max_length=3)]  # rows of a rotation
@@ -113,8 +111,7 @@ def _kinds(text: str) -> str:
     return " or ".join(known)
 
 
-# where photographs usually lie, the likeliest first
-IMAGE_FOLDERS = ("images", "image", "input", "rgb", ".")
+IMAGE_FOLDERS = ("images", "image", "input", "rgb", ".")  # likeliest first
 MAX_VALUES_BYTES = 1 << 30  # memory that the values of a JSON file may come to
 # what folders of other pictures are called, and what such pictures are called at the end
 _OTHER_PICTURES = re.compile(

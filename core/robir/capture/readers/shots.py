@@ -29,8 +29,7 @@ class Shot:
     name: str  # name or path of the photograph as the program writes it, with or without suffix
     lens: Lens  # intrinsics as stated
     pose: Array  # camera-to-world, (4, 4), OpenGL axes
-    # where the photograph lies if the name is a path, or None to look for it by name
-    image: Path | None = None
+    image: Path | None = None  # where it lies, or None to look for it by name
     mask: str | None = None  # path of its mask as the program writes it, or None
     split: Literal["train", "test"] = "train"  # "test" if the program holds it out
 

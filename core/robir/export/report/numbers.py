@@ -28,10 +28,8 @@ Array = NDArray[np.floating[Any]]
 class Rendering:
     """What Blender made for the report."""
 
-    # Cycles pictures of held-out views by name
-    rerenders: dict[str, Path] = field(default_factory=dict)
-    # Cycles pictures under another light by view's name
-    relit: dict[str, Path] = field(default_factory=dict)
+    rerenders: dict[str, Path] = field(default_factory=dict)  # Cycles, held-out views
+    relit: dict[str, Path] = field(default_factory=dict)  # Cycles, another light
     relit_with: str = ""  # name of that light
     missing: tuple[str, ...] = ()  # sentences on what could not be made and how to get it
     # "wall" and "cpu" spent in Blender

@@ -30,8 +30,7 @@ from robir.jobs.paths import JobPaths, replacing, write_json
 
 _LEVELS_START, _LEVELS_END = '<section id="levels">', "</section>"
 _SCRIPT = re.compile(r"<script[^>]*>(.*?)</script>", re.DOTALL)
-# stands in the page for the scripts that a browser may run, until they are known
-_ALLOWED = "HASHES"
+_ALLOWED = "HASHES"  # stands for the scripts that may run, until they are known
 
 
 def write_report(paths: JobPaths, products: Products) -> dict[str, Any]:
