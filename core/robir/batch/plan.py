@@ -47,6 +47,11 @@ class Entry:
     tags: tuple[str, ...] = ()  # of the asset
     catalogue: str = ""  # of the asset; empty for its first tag, else the folder of the capture
 
+    @property
+    def about(self) -> dict[str, Any]:
+        """What is known of its asset."""
+        return {key: getattr(self, key) for key in ("author", "licence", "tags", "catalogue")}
+
     def config(self) -> RunConfig:
         """The resolved settings, or a `ConfigError`."""
         return _resolved(self.preset, self.settings)
@@ -90,14 +95,8 @@ class Plan:
 
     def facts(self, entry: Entry) -> AssetFacts:
         """What is known of an entry's asset."""
-        return AssetFacts(
-            author=entry.author,
-            licence=entry.licence,
-            tags=entry.tags,
-            catalogue=entry.catalogue,
-            textures=self.options.textures,
-            formats=self.options.made,
-        )
+        options = {"textures": self.options.textures, "formats": self.options.made}
+        return AssetFacts(**entry.about, **options)
 
 
 def read_plan(sources: Sequence[str], changes: Mapping[str, Any], paths: LibraryPaths) -> Plan:
@@ -228,12 +227,7 @@ def _entries(
             entry.config()
             if entry.memory:
                 parse_size(entry.memory)
-            AssetFacts(
-                author=entry.author,
-                licence=entry.licence,
-                tags=entry.tags,
-                catalogue=entry.catalogue,
-            )
+            AssetFacts(**entry.about)
         except ConfigError as error:
             place_of = f"{where}: " if where and not str(error).startswith(where) else ""
             raise ConfigError(f"{place_of}{error}") from error

@@ -101,18 +101,13 @@ def _items(plan: Plan, paths: LibraryPaths, *only: int) -> list[Item]:
     items = []
     for number in only or range(len(plan.entries)):
         entry = plan.entries[number]
-        is_over = is_done(plan, entry, paths)
-        job = paths.result(entry.name)
-        if is_over:
-            standing = of_snapshot(entry.name, client.snapshot(job.root.absolute()))
-            standing = Standing(
-                name=entry.name, state="done", fraction=1.0, exit_code=standing.exit_code
-            )
+        need, standing = 0, Standing(name=entry.name, state="waiting")
+        if is_done(plan, entry, paths):
+            code = client.snapshot(paths.result(entry.name).root.absolute()).exit_code
+            standing = replace(standing, state="done", fraction=1.0, exit_code=code)
         else:
-            standing = Standing(name=entry.name, state="waiting")
-        need = 0 if is_over else memory_needed(plan, entry)
-        request = plan.request(entry, paths)
-        items.append(Item(request=request, need=need, standing=standing))
+            need = memory_needed(plan, entry)
+        items.append(Item(request=plan.request(entry, paths), need=need, standing=standing))
     return items
 
 

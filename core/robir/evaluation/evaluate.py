@@ -88,7 +88,7 @@ def evaluate(paths: JobPaths, truth: Path, sheet: Path | None = None) -> dict[st
 def image_scores(layers: tuple[Layers, ...], truth: Truth) -> dict[str, Any]:
     """Albedo, its baseline, baked shadows and roughness, of the result as each test view sees it.
 
-    "albedo" (PSNRs, scales, "ssim" and "lmse" averaged over views; SSIM is of the sRGB-encoded
+    "albedo" (PSNRs, scales, "ssim" averaged over views; SSIM is of the sRGB-encoded
     per-channel least-squares albedo), "photo_as_albedo" (PSNRs of the photograph decoded as sRGB),
     "uncertainty" (how often its bands hold the truth; None where none is stated), "shadow" (and
     "shadow_of_photo": the same ratio of the photograph), "roughness".
@@ -98,13 +98,11 @@ def image_scores(layers: tuple[Layers, ...], truth: Truth) -> dict[str, Any]:
     true_albedo = _pooled([view.albedo for view in truth.views], both)
     albedo = metrics.albedo_scores(_pooled([o.albedo_linear for o in layers], both), true_albedo)
     scale = np.array(albedo["scale"]["per_channel_lsq"])
-    ssim, lmse = [], []
+    ssim = []
     for ours, view, mask in zip(layers, truth.views, both, strict=True):
         if mask.any():
             encoded = metrics.srgb_from_linear(ours.albedo_linear * scale)
             ssim.append(metrics.masked_ssim(encoded, metrics.srgb_from_linear(view.albedo), mask))
-            local = metrics.lmse(ours.albedo_linear, view.albedo, mask)
-            lmse += [] if local is None else [local]
     regions = [
         metrics.shadow_regions(view.sun_visibility, view.normal, mask, truth.sun_direction)
         for view, mask in zip(truth.views, both, strict=True)
@@ -112,7 +110,7 @@ def image_scores(layers: tuple[Layers, ...], truth: Truth) -> dict[str, Any]:
     in_sun, in_shadow = (np.stack([region[i] for region in regions]) for i in (0, 1))
     stacked = np.stack([view.albedo for view in truth.views])
     return {
-        "albedo": {**albedo, "ssim": _mean(ssim), "lmse": _mean(lmse)},
+        "albedo": {**albedo, "ssim": _mean(ssim)},
         "uncertainty": _uncertainty(layers, both, true_albedo),
         "photo_as_albedo": metrics.albedo_scores(_pooled(photos, both), true_albedo),
         "shadow": metrics.shadow_ratio(

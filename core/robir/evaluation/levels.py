@@ -166,7 +166,10 @@ def level_pictures(
         "diffuse": paths.stage("appearance") / "held_out_diffuse.npz",
         "material": paths.stage("appearance") / "held_out.npz",
     }
-    made = {name: _stored(file) for name, file in stored.items()}
+    made: dict[str, Pictures] = {
+        name: stored_arrays(file, PICTURES) if file.is_file() else {}
+        for name, file in stored.items()
+    }
     made |= {"hull": _on_hull(photographs, views), "mesh": nearest, "mean": mean}
     made["cycles"] = {
         view.name: read_picture(file)
@@ -208,13 +211,6 @@ def _on_hull(photographs: Sequence[View], views: Sequence[View]) -> Pictures:
     except RobirError:
         return {}
     return _warped(surface, photographs, views)[0]
-
-
-def _stored(file: Path) -> Pictures:
-    """Pictures that a stage left, by view."""
-    if not file.is_file():
-        return {}
-    return stored_arrays(file, PICTURES)
 
 
 def _sized(picture: Picture, view: View) -> Picture:
@@ -331,16 +327,9 @@ def level_cells(levels: Mapping[str, Any]) -> list[list[str]]:
     def text(value: float | None, digits: int, sign: str = "") -> str:
         return "-" if value is None else f"{value:{sign}.{digits}f}"
 
+    kinds = (("psnr", 1), ("ssim", 3), ("gradient", 2), ("psnr_whole_mask", 1), ("loss", 1, "+"))
     return [
-        [
-            row["letter"],
-            row["title"],
-            text(row["psnr"], 1),
-            text(row["ssim"], 3),
-            text(row["gradient"], 2),
-            text(row["psnr_whole_mask"], 1),
-            text(row["loss"], 1, "+"),
-        ]
+        [row["letter"], row["title"], *(text(row[kind], *how) for kind, *how in kinds)]
         for row in levels["chain"].values()
     ]
 

@@ -15,7 +15,8 @@ from skimage.transform import resize_local_mean
 
 from robir.errors import StorageError
 from robir.evaluation import metrics
-from robir.jobs.records import NUMBERS, read_record
+from robir.evaluation.layers import stored_facts
+from robir.jobs.records import NUMBERS
 from robir.maths import spherical_gaussian as sg
 from robir.maths import tone
 from robir.maths.tone_power import DISPLAY_POWER
@@ -59,28 +60,24 @@ class RecoveredLight:
         directions = equirect_directions(rows)
         for start in range(0, rows, _CHUNK_ROWS):
             part = slice(start, start + _CHUNK_ROWS)
-            image[part] = sg.evaluate(self._chosen(wide), directions[part]).numpy()
+            image[part] = sg.evaluate(self.chosen(wide), directions[part]).numpy()
         if not bool(wide.all()):
-            image += sg.to_equirect(self._chosen(~wide), rows).numpy()
+            image += sg.to_equirect(self.chosen(~wide), rows).numpy()
         return image
 
-    def _chosen(self, which: torch.Tensor) -> sg.SphericalGaussians:
-        lobes = self.lobes
-        return sg.SphericalGaussians(
-            axis=lobes.axis[which],
-            sharpness=lobes.sharpness[which],
-            amplitude=lobes.amplitude[which],
-        )
+    def chosen(self, which: torch.Tensor) -> sg.SphericalGaussians:
+        """Some of the lobes."""
+        axis, sharpness, amplitude = self.lobes.axis, self.lobes.sharpness, self.lobes.amplitude
+        parts = {"axis": axis[which], "sharpness": sharpness[which], "amplitude": amplitude[which]}
+        return sg.SphericalGaussians(**parts)
 
 
 def load_light(path: Path) -> RecoveredLight:
     """Read a light.json, or a `StorageError`."""
-    try:
-        table = read_record(path, _LIGHT)["lobes"]
-        if any(len(lobe["axis"]) != 3 or len(lobe["amplitude"]) != 3 for lobe in table):
-            raise ValueError("an axis or amplitude has not three numbers")  # noqa: TRY301
-    except (OSError, ValueError) as fault:
-        raise StorageError(f"{path} is damaged ({fault}); reconstruct with --resume") from fault
+    table = stored_facts(path, _LIGHT)["lobes"]
+    if any(len(lobe["axis"]) != 3 or len(lobe["amplitude"]) != 3 for lobe in table):
+        fault = "an axis or amplitude has not three numbers"
+        raise StorageError(f"{path} is damaged ({fault}); reconstruct with --resume")
 
     def column(name: str) -> torch.Tensor:
         return torch.tensor([lobe[name] for lobe in table], dtype=torch.float32)

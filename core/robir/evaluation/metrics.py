@@ -113,16 +113,8 @@ def masked_ssim(estimate: Array, truth: Array, mask: Mask) -> float:
     is set to 0 in both images first.
     """
     a, b = truth * mask[..., None], estimate * mask[..., None]
-    similarity = structural_similarity(
-        a,
-        b,
-        data_range=1.0,
-        channel_axis=-1,
-        gaussian_weights=True,
-        sigma=1.5,
-        use_sample_covariance=False,
-        full=True,
-    )[1]
+    how = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
+    similarity = structural_similarity(a, b, data_range=1.0, channel_axis=-1, full=True, **how)[1]
     return float(np.mean(similarity[mask]))
 
 
@@ -155,34 +147,6 @@ def _halved(image: Array) -> Array:
     height, width = (n - n % 2 for n in image.shape[:2])
     blocks = image[:height, :width].reshape(height // 2, 2, width // 2, 2, -1)
     return blocks.mean(axis=(1, 3))
-
-
-def lmse(estimate_linear: Array, truth_linear: Array, mask: Mask, window: int = 20) -> float | None:
-    """Local mean squared error of Grosse et al. 2009; lower is better, an all-zero guess has 1.
-
-    In every full window alpha = sum(m A B) / sum(m B^2), or 0 where that divisor is at most 1e-5;
-    the score is the sum over windows of sum m (A - alpha B)^2 over the sum over windows of sum m
-    A^2. Windows step by half their size (20 pixels belong to images of about 500); one alpha a
-    channel, mean over the channels. None if no window holds anything.
-    """
-    step = window // 2
-    m = mask[..., None].astype(np.float64)
-    products = (m * truth_linear**2, m * truth_linear * estimate_linear, m * estimate_linear**2)
-    aa, ab, bb = (_window_sums(product, window, step) for product in products)
-    total = aa.sum(axis=(0, 1))
-    if aa.size == 0 or not np.all(total > 0):
-        return None
-    alpha = np.where(bb > 1e-5, ab / np.maximum(bb, 1e-5), 0.0)
-    squares = aa - 2.0 * alpha * ab + alpha**2 * bb
-    return float(np.mean(squares.sum(axis=(0, 1)) / total))
-
-
-def _window_sums(image: Array, window: int, step: int) -> Array:
-    """Sums over all full windows, (rows, columns, C), by a summed-area table."""
-    table: Array = np.pad(image.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0), (0, 0)))
-    low, high = table[:-window, :-window], table[window:, window:]
-    inner: Array = high - table[:-window, window:] - table[window:, :-window] + low
-    return inner[::step, ::step]
 
 
 def shadow_regions(

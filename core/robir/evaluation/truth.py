@@ -166,15 +166,9 @@ def _cameras(path: Path) -> dict[str, Camera]:
 
 
 def _camera(table: dict[str, Any], camera_to_world: list[list[float]]) -> Camera:
-    return Camera(
-        width=table["w"],
-        height=table["h"],
-        fx=table["fl_x"],
-        fy=table["fl_y"],
-        cx=table["cx"],
-        cy=table["cy"],
-        camera_to_world=np.array(camera_to_world, np.float64),
-    )
+    names = {"width": "w", "height": "h", "fx": "fl_x", "fy": "fl_y", "cx": "cx", "cy": "cy"}
+    lens = {name: table[key] for name, key in names.items()}
+    return Camera(**lens, camera_to_world=np.array(camera_to_world, np.float64))
 
 
 def _view(capture: Path, name: str, camera: Camera, photograph: Path) -> TrueView:

@@ -113,10 +113,7 @@ def run_headless(arguments: Sequence[str], on_progress: Callable[[float, str], N
         files=tuple(Path(file) for file in last.get("files", ())),
         notes=tuple(last.get("notes", ())),
         wall=time.monotonic() - start,
-        cpu=after.children_user
-        + after.children_system
-        - before.children_user
-        - before.children_system,
+        cpu=sum(after[2:4]) - sum(before[2:4]),  # of children
     )
 
 

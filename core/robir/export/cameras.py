@@ -59,18 +59,9 @@ def _transforms(capture: Capture, photos: list[str]) -> dict[str, Any]:
     for view, photo in zip(capture.views, photos, strict=True):
         camera = view.camera
         names[view.split].append(photo)
-        frames.append(
-            {
-                "file_path": photo,
-                "transform_matrix": camera.camera_to_world.tolist(),
-                "w": camera.width,
-                "h": camera.height,
-                "fl_x": camera.fx,
-                "fl_y": camera.fy,
-                "cx": camera.cx,
-                "cy": camera.cy,
-            }
-        )
+        frame = {"file_path": photo, "transform_matrix": camera.camera_to_world.tolist()}
+        frame |= {"w": camera.width, "h": camera.height, "fl_x": camera.fx, "fl_y": camera.fy}
+        frames.append(frame | {"cx": camera.cx, "cy": camera.cy})
     held_out = {"val_filenames": names["held_out"], "test_filenames": names["held_out"]}
     split = {"train_filenames": names["train"], **held_out} if names["held_out"] else {}
     return {"camera_model": "OPENCV", **split, "frames": frames}

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from robir.evaluation.light_scores import RecoveredLight, load_light
 from robir.export.textures import write_exr
@@ -44,7 +43,10 @@ def export_light(paths: JobPaths) -> RecoveredLight:
     if lamps:
         kept = np.ones(len(light.is_sharp), bool)
         kept[[lamp["lobe"] for lamp in lamps]] = False
-        write_exr(paths.environment_without_sun, _chosen(light, kept).environment(ROWS))
+        rest = replace(
+            light, lobes=light.chosen(torch.from_numpy(kept)), is_sharp=light.is_sharp[kept]
+        )
+        write_exr(paths.environment_without_sun, rest.environment(ROWS))
     else:
         paths.environment_without_sun.unlink(missing_ok=True)
     return light
@@ -72,18 +74,6 @@ def sun_lamps(light: RecoveredLight) -> list[dict[str, Any]]:
         for index in np.flatnonzero(light.is_sharp).tolist()
         if diameter[index] <= MAX_LAMP_DIAMETER
     ]
-
-
-def _chosen(light: RecoveredLight, which: NDArray[np.bool_]) -> RecoveredLight:
-    """The light of some lobes alone."""
-    mask = torch.from_numpy(which)
-    lobes = replace(
-        light.lobes,
-        axis=light.lobes.axis[mask],
-        sharpness=light.lobes.sharpness[mask],
-        amplitude=light.lobes.amplitude[mask],
-    )
-    return RecoveredLight(lobes=lobes, is_sharp=light.is_sharp[which])
 
 
 def light_told(evidence: list[dict[str, Any]], of: str) -> list[dict[str, Any]]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import re
 import time
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -67,6 +66,8 @@ def run(context: StageContext[ExportConfig]) -> dict[str, Any]:
     rendering = _render(context, judged, tone_curve)
     cpu, wall = time.process_time(), time.monotonic()
     report.progress(_RENDER_SHARE, "writing the report")
+    of_stages = (_facts(paths, s, "choices", _CHOICES, []) for s in ("geometry", "appearance"))
+    choices = [row for rows in of_stages for row in rows]
     numbers = write_report(
         paths,
         Products(
@@ -76,9 +77,9 @@ def run(context: StageContext[ExportConfig]) -> dict[str, Any]:
             arrays=arrays,
             light=light,
             tone_curve=tone_curve,
-            choices=_choices(paths),
-            evidence=_evidence(paths),
-            last_word=_last_word(paths),
+            choices=choices,
+            evidence=_facts(paths, "appearance", "evidence", _EVIDENCE, []),
+            last_word=_facts(paths, "appearance", "last_word", _LAST_WORD, None),
             exposure=exposure,
             rendering=rendering,
             seconds=lambda: {
@@ -93,22 +94,10 @@ def run(context: StageContext[ExportConfig]) -> dict[str, Any]:
     return _manifest_metrics(mesh, rendering, numbers)
 
 
-def _choices(paths: JobPaths) -> list[dict[str, Any]]:
-    """Rows of the report's table; not every method chooses its surface."""
-    files = [paths.stage(stage) / "choices.json" for stage in ("geometry", "appearance")]
-    return [row for file in files if file.is_file() for row in stored_facts(file, _CHOICES)]
-
-
-def _evidence(paths: JobPaths) -> list[dict[str, Any]]:
-    """What tells of the light; not every method says it."""
-    file = paths.stage("appearance") / "evidence.json"
-    return stored_facts(file, _EVIDENCE) if file.is_file() else []
-
-
-def _last_word(paths: JobPaths) -> dict[str, Any] | None:
-    """What photographs object to; not every method asks them."""
-    file = paths.stage("appearance") / "last_word.json"
-    return stored_facts(file, _LAST_WORD) if file.is_file() else None
+def _facts(paths: JobPaths, stage: str, name: str, form: Any, default: Any) -> Any:
+    """Contents of a stage's file that not every method writes, or a default."""
+    file = paths.stage(stage) / f"{name}.json"
+    return stored_facts(file, form) if file.is_file() else default
 
 
 def asset_name(capture: Capture) -> str:
@@ -160,7 +149,20 @@ def _render(
             "a view transform in scene.blend: Blender has none like the recovered curve, its "
             "viewport shows Standard; our renders went through tone_curve.cube"
         )
-    return _Work(done, tuple(missing)).rendering()
+
+    def files(name: str, prefix: str) -> dict[str, Path]:
+        """Pictures by view: its name follows a prefix in the file's name."""
+        made = done[name].files if name in done else ()
+        return {file.stem.removeprefix(prefix): file for file in made}
+
+    wall, cpu = sum(one.wall for one in done.values()), sum(one.cpu for one in done.values())
+    return Rendering(
+        rerenders=files("rerender", _RERENDER),
+        relit=files("relight", _RELIT),
+        relit_with=RELIGHT_ENVIRONMENT,
+        missing=tuple(missing),
+        seconds={"wall": wall, "cpu": cpu},
+    )
 
 
 def _remove_old_renders(paths: JobPaths) -> None:
@@ -169,33 +171,6 @@ def _remove_old_renders(paths: JobPaths) -> None:
     for prefix in (_RERENDER, _RELIT, _LIGHTS):
         for file in paths.renders.glob(f"{prefix}*.png"):
             file.unlink()
-
-
-@dataclass(frozen=True, slots=True)
-class _Work:
-    """Outcomes of the headless commands that ended well."""
-
-    done: dict[str, Outcome]
-    missing: tuple[str, ...]
-
-    def files(self, name: str) -> dict[str, Path]:
-        """Pictures by view: the view's name follows the command's prefix in the file's name."""
-        prefix = {"rerender": _RERENDER, "relight": _RELIT}[name]
-        outcome = self.done.get(name)
-        files = outcome.files if outcome else ()
-        return {file.stem.removeprefix(prefix): file for file in files}
-
-    def rendering(self) -> Rendering:
-        return Rendering(
-            rerenders=self.files("rerender"),
-            relit=self.files("relight"),
-            relit_with=RELIGHT_ENVIRONMENT,
-            missing=self.missing,
-            seconds={
-                "wall": sum(outcome.wall for outcome in self.done.values()),
-                "cpu": sum(outcome.cpu for outcome in self.done.values()),
-            },
-        )
 
 
 def _manifest_metrics(mesh: Mesh, rendering: Rendering, numbers: dict[str, Any]) -> dict[str, Any]:

@@ -131,24 +131,9 @@ class RunReporter:
         self._write_status("running", self._done, message, seconds_left=left)
         self._emit(kind, message=message, **facts)
 
-    def _write_status(
-        self,
-        state: State,
-        fraction: float,
-        message: str,
-        *,
-        seconds_left: float | None = None,
-        exit_code: int | None = None,
-    ) -> None:
-        self._writer.status(
-            state,
-            stage=self._stage,
-            fraction=fraction,
-            message=message,
-            seconds_left=seconds_left,
-            exit_code=exit_code,
-            metrics=self._metrics,
-        )
+    def _write_status(self, state: State, fraction: float, message: str, **more: Any) -> None:
+        more |= {"stage": self._stage, "metrics": self._metrics}
+        self._writer.status(state, fraction=fraction, message=message, **more)
 
     def _emit(self, kind: Kind, **facts: Any) -> None:
         event = self._writer.event(kind, self._stage, **facts)

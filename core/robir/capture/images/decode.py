@@ -46,15 +46,9 @@ _DAMAGE = (OSError, SyntaxError, ValueError, EOFError, Image.DecompressionBombEr
 # what Pillow raises for broken EXIF data
 _BAD_EXIF = (*_DAMAGE, TypeError, KeyError, IndexError, AttributeError, struct.error)
 # what brings a photograph of each EXIF orientation upright
-_TURNS = {
-    2: Image.Transpose.FLIP_LEFT_RIGHT,
-    3: Image.Transpose.ROTATE_180,
-    4: Image.Transpose.FLIP_TOP_BOTTOM,
-    5: Image.Transpose.TRANSPOSE,
-    6: Image.Transpose.ROTATE_270,
-    7: Image.Transpose.TRANSVERSE,
-    8: Image.Transpose.ROTATE_90,
-}
+_T = Image.Transpose
+_TURNS = {2: _T.FLIP_LEFT_RIGHT, 3: _T.ROTATE_180, 4: _T.FLIP_TOP_BOTTOM, 5: _T.TRANSPOSE}
+_TURNS |= {6: _T.ROTATE_270, 7: _T.TRANSVERSE, 8: _T.ROTATE_90}
 
 
 @contextmanager
@@ -225,13 +219,8 @@ def _developed(path: Path, file: BinaryIO) -> Image.Image:
     try:
         with rawpy.imread(file) as raw:
             _check_size(path, raw.sizes.raw_width // 2, raw.sizes.raw_height // 2)
-            pixels = raw.postprocess(
-                half_size=True,
-                use_camera_wb=True,
-                no_auto_bright=True,
-                output_bps=8,
-                gamma=(2.4, 12.92),
-            )
+            how = {"half_size": True, "use_camera_wb": True, "no_auto_bright": True}
+            pixels = raw.postprocess(**how, output_bps=8, gamma=(2.4, 12.92))
     except (rawpy.LibRawError, OSError) as fault:  # type: ignore[attr-defined]
         raise _damaged(path, fault) from None
     # a monochrome sensor has one channel

@@ -75,14 +75,11 @@ def report_numbers(paths: JobPaths, products: Products, own: dict[str, Picture])
     held_out = mean_scores(
         [photo_scores(image, by_name[name]) for name, image in own.items() if name in by_name]
     )
-    cycles = mean_scores(
-        [
-            photo_scores(
-                exposures.as_photographed(read_picture(file), by_name[name]), by_name[name]
-            )
-            for name, file in rendering.rerenders.items()
-        ]
-    )
+    files = [(by_name[name], read_picture(file)) for name, file in rendering.rerenders.items()]
+    shots = [(view, exposures.as_photographed(picture, view)) for view, picture in files]
+    cycles = mean_scores([photo_scores(picture, view) for view, picture in shots])
+    left_open = rivals(products.tone_curve["candidates"])
+    left_open |= paint(products.evidence) | shown(products.last_word)
     curve = {name: value for name, value in products.tone_curve.items() if name != "samples"}
     seconds = {stage: run["seconds"][stage] for stage in run["seconds"] if stage != "export"}
     return {
@@ -97,15 +94,7 @@ def report_numbers(paths: JobPaths, products: Products, own: dict[str, Picture])
         "device": run["device"],
         "preset": run["preset"],
         "seed": run["seed"],
-        "trust": quality(
-            capture,
-            products.mesh,
-            products.arrays,
-            held_out["psnr"],
-            rivals(products.tone_curve["candidates"])
-            | paint(products.evidence)
-            | shown(products.last_word),
-        ),
+        "trust": quality(capture, products.mesh, products.arrays, held_out["psnr"], left_open),
         "held_out": held_out,
         "cycles": cycles,
         "tone_curve": curve,
