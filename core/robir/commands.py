@@ -132,7 +132,7 @@ def relight(options: Namespace) -> int:
     from robir.display import display_for
     from robir.evaluation.truth import refuse_light
     from robir.export.blender import run_headless
-    from robir.jobs.lock import folder_lock
+    from robir.jobs.folder import folder_lock
     from robir.pipeline.faults import stop_requested
 
     if Path(options.environment).is_file():

@@ -20,9 +20,8 @@ from robir.batch.standing import Standing, fraction_of, is_done, of_snapshot, wr
 from robir.display import display_for
 from robir.errors import CaptureError, QualityError, StorageError, UsageError
 from robir.jobs import client
-from robir.jobs.folder import refuse_special
+from robir.jobs.folder import folder_lock, refuse_special
 from robir.jobs.library import LibraryPaths
-from robir.jobs.lock import folder_lock
 from robir.jobs.paths import STAGES
 from robir.pipeline.device import machine
 from robir.pipeline.faults import stop_requested

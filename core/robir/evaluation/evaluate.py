@@ -31,8 +31,7 @@ from robir.evaluation.layers import (
     view_layers,
 )
 from robir.evaluation.light_scores import light_scores, load_light, tone_scores
-from robir.evaluation.photos import read_picture
-from robir.evaluation.sheet import save_sheet, truth_sheet
+from robir.evaluation.photos import read_picture, save_sheet, truth_sheet
 from robir.evaluation.truth import TrueView, Truth, read_exr
 from robir.geometry.mesh.triangles import Mesh, vertex_normals
 from robir.jobs.paths import JobPaths

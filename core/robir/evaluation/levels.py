@@ -28,8 +28,7 @@ from robir.capture.store import load_settled
 from robir.errors import RobirError
 from robir.evaluation import metrics
 from robir.evaluation.layers import TONE_CURVE, shaded_mesh, stored_exposure, stored_facts
-from robir.evaluation.photos import Exposures, read_picture
-from robir.evaluation.sheet import cut, over_grey, save_sheet, window
+from robir.evaluation.photos import Exposures, cut, over_grey, read_picture, save_sheet, window
 from robir.evaluation.surfaces import warped_views
 from robir.geometry.config import GeometryConfig
 from robir.geometry.hull import carve, hull_of

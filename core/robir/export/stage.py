@@ -13,14 +13,12 @@ from robir.capture.store import load_settled
 from robir.errors import CancelledError, RobirError, StorageError
 from robir.evaluation.layers import load_textures, result_mesh, stored_exposure, stored_facts
 from robir.export.blender import Outcome, run_headless
-from robir.export.cameras import export_cameras
 from robir.export.config import ExportConfig
-from robir.export.environment import export_light
+from robir.export.exchange import export_cameras, export_light, export_tone_curve
 from robir.export.gltf import write_glb
 from robir.export.report.numbers import Products, Rendering
 from robir.export.report.write import write_report
 from robir.export.textures import parts_of, tile_textures, write_tiles
-from robir.export.tone_lut import export_tone_curve
 from robir.geometry.mesh.triangles import Mesh
 from robir.jobs.context import StageContext
 from robir.jobs.paths import JobPaths

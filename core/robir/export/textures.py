@@ -20,8 +20,7 @@ from scipy.ndimage import distance_transform_edt
 
 from robir.errors import StorageError
 from robir.evaluation.metrics import srgb_from_linear
-from robir.evaluation.photos import read_picture
-from robir.evaluation.sheet import thumbnail
+from robir.evaluation.photos import read_picture, thumbnail
 from robir.geometry.mesh.tiles import cell, cells_along, tile_of_faces, within
 from robir.geometry.mesh.triangles import Mesh
 from robir.jobs.paths import JobPaths, of_tile, replacing, tiles_there

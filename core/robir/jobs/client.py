@@ -22,8 +22,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from robir.errors import CancelledError, DeviceError, StorageError, UsageError
-from robir.jobs.folder import create, is_full
-from robir.jobs.lock import holder
+from robir.jobs.folder import create, holder, is_full
 from robir.jobs.names import open_regular
 from robir.jobs.paths import JobPaths, write_json
 from robir.jobs.records import check, read_record

@@ -12,8 +12,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from robir.jobs.client import spawn
-from robir.jobs.folder import special_fault
-from robir.jobs.lock import holder
+from robir.jobs.folder import holder, special_fault
 from robir.jobs.names import UnsafeNameError, file_in
 from robir.jobs.paths import JobPaths, Named
 from robir.jobs.records import read_record

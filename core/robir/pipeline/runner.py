@@ -18,8 +18,7 @@ from robir.constants import changed
 from robir.errors import CancelledError, RobirError, StorageError
 from robir.export.asset import AssetFacts, is_current, make_asset
 from robir.jobs.context import StageContext
-from robir.jobs.folder import create
-from robir.jobs.lock import folder_lock
+from robir.jobs.folder import create, folder_lock
 from robir.jobs.paths import STAGES, JobPaths, replacing, write_json
 from robir.pipeline import folder
 from robir.pipeline.device import Execution, Usage, peak_memory_bytes

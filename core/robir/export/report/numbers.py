@@ -15,7 +15,7 @@ from robir import __version__
 from robir.capture.capture import Capture
 from robir.evaluation.light_scores import RecoveredLight
 from robir.evaluation.photos import Exposures, mean_scores, photo_scores, read_picture
-from robir.export.environment import light_told
+from robir.export.exchange import light_told
 from robir.export.textures import UNCERTAINTY_AT_255, Part
 from robir.export.trust import paint, quality, rivals, shown
 from robir.geometry.mesh.triangles import Mesh

@@ -15,16 +15,19 @@ from robir.evaluation.levels import LEVEL_HEAD, level_cells, level_notes
 from robir.export.page import page_template
 from robir.export.report.numbers import Products, report_numbers
 from robir.export.report.pictures import (
+    VIEWER_SCRIPT,
     data_address,
+    embedded_asset,
+    embedded_lights,
     environment_picture,
     fine,
     inline_lossless,
     own_rerenders,
     row_of_view,
     shown_views,
+    start_orbit,
     write_contact,
 )
-from robir.export.report.viewer import VIEWER_SCRIPT, embedded_asset, embedded_lights, start_orbit
 from robir.export.textures import shown_texture
 from robir.jobs.paths import JobPaths, replacing, write_json
 
