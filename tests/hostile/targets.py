@@ -20,8 +20,8 @@ from capture.scene import cameras, shoot
 from evaluation import sphere_run
 from PIL import Image
 
+from robir.batch.local import Standing, write_standings
 from robir.batch.plan import keep_plan, kept_plan, read_plan
-from robir.batch.standing import Standing, write_standings
 from robir.capture.arrays import stored_arrays
 from robir.capture.checks.findings import check_frames
 from robir.capture.images.decode import exif_values, opened, orientation

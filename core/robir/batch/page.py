@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from robir.batch.local import Standing
 from robir.batch.plan import Entry, Plan
-from robir.batch.standing import Standing
 from robir.export.asset import catalogue_id
 from robir.export.page import page_template
 from robir.jobs.library import Format, LibraryPaths

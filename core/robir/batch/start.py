@@ -13,10 +13,19 @@ from pathlib import Path
 from typing import Any
 
 from robir.batch.farm import FIT, library_job, submit_to_slurm, write_openjd
-from robir.batch.local import Item, Limits, LocalBatch, memory_needed
+from robir.batch.local import (
+    Item,
+    Limits,
+    LocalBatch,
+    Standing,
+    fraction_of,
+    is_done,
+    memory_needed,
+    of_snapshot,
+    write_standings,
+)
 from robir.batch.page import Row, row_of, write_facts, write_page
 from robir.batch.plan import Plan, keep_plan, kept_plan, parse_size, read_plan
-from robir.batch.standing import Standing, fraction_of, is_done, of_snapshot, write_standings
 from robir.display import display_for
 from robir.errors import CaptureError, QualityError, StorageError, UsageError
 from robir.jobs import client
@@ -161,7 +170,6 @@ def _do_all(
 
 
 def _draw(plan: Plan, paths: LibraryPaths) -> int:
-    """Draw the page of what is there."""
     rows = []
     for entry in plan.entries:
         snapshot = client.snapshot(paths.result(entry.name).root.absolute())

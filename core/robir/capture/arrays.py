@@ -79,7 +79,6 @@ def _head(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
 
 
 def _wanted(names: Sequence[str], form: Mapping[Any, str]) -> dict[str, str]:
-    """What each array has to be, by name."""
     wanted = dict.fromkeys(names, form[...]) if ... in form else {}
     stated = {key.removesuffix("?"): key for key in form if key is not ...}
     return wanted | {n: form[key] for n, key in stated.items() if n == key or n in names}

@@ -140,15 +140,10 @@ class Lens:
             fx = 0.5 * width / np.tan(0.5 * self.angle_x)
             if fy is None and self.angle_y is not None:
                 fy = 0.5 * height / np.tan(0.5 * self.angle_y)
-        return Camera(
-            width=width,
-            height=height,
-            fx=float(fx),
-            fy=float(fx if fy is None else fy),
-            cx=0.5 * width if self.cx is None else self.cx,
-            cy=0.5 * height if self.cy is None else self.cy,
-            camera_to_world=camera_to_world,
-        )
+        lens = {"fx": float(fx), "fy": float(fx if fy is None else fy)}
+        lens["cx"] = 0.5 * width if self.cx is None else self.cx
+        lens["cy"] = 0.5 * height if self.cy is None else self.cy
+        return Camera(width=width, height=height, **lens, camera_to_world=camera_to_world)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

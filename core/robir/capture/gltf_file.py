@@ -339,7 +339,6 @@ def _named(document: Document) -> tuple[list[Document], dict[int, int]]:
 
 
 def _image(document: Document, named: Document) -> Document:
-    """Entry of the image that a material's normal texture shows."""
     texture = entry(document.get("textures", []), named.get("index"), "it", "texture")
     webp = texture.get("extensions", {}).get("EXT_texture_webp", {})
     source = texture.get("source", webp.get("source"))

@@ -114,7 +114,6 @@ def _refuse_outside(paths: Sequence[Path], homes: Sequence[Path]) -> None:
 
 
 def _folders(source: Path) -> list[Path]:
-    """Folders in which a capture may lie instead."""
     return [child for child in children(source) if child.is_dir()][:_MOST]
 
 

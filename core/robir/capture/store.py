@@ -115,7 +115,6 @@ def save_frame(paths: JobPaths, frame: Similarity, bounds: Bounds) -> None:
 
 
 def _load_frame(paths: JobPaths) -> tuple[Similarity, Bounds] | None:
-    """What `save_frame` wrote, if anything."""
     if not paths.frame.exists():
         return None
     with _reading(paths.frame, "geometry"):
@@ -156,7 +155,6 @@ def load_settled(paths: JobPaths) -> Capture:
 
 
 def _cut_mask(paths: JobPaths, view: View) -> NDArray[np.uint8]:
-    """Mask of a view from the geometry stage."""
     path = file_in(paths.cut_masks, f"{view.name}.png")
     with _reading(path, "geometry"), Image.open(path, formats=["PNG"]) as picture:
         if picture.mode != "L" or picture.size != (view.camera.width, view.camera.height):

@@ -175,7 +175,6 @@ def _pooled(images: list[Any], masks: list[NDArray[np.bool_]]) -> Array:
 
 
 def _thinned(points: Array) -> Array:
-    """At most so many of the points, evenly chosen."""
     return points[:: -(-len(points) // _MAX_CHAMFER_POINTS) or 1]
 
 

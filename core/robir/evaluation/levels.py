@@ -126,15 +126,17 @@ def level_scores(paths: JobPaths, strip: Path | None = None) -> dict[str, Any]:
     of a few views are written to `strip`, a PNG.
     """
     exposure, tone_curve = _camera_facts(paths)
-    whole = load_settled(paths)
-    capture = whole.without(exposure["other_light"]).normalised()
+    capture = load_settled(paths).without(exposure["other_light"]).normalised()
     if not capture.held_out:
         return _table([], {}, "No photograph was held out: there is nothing to judge by.")
     mesh = shaded_mesh(paths)
     exposures = Exposures.of(exposure, tone_curve, mesh)
     views = [resize_view(view, SIDE) for view in capture.held_out]
     pictures = level_pictures(paths, (mesh, exposures), capture, views)
-    judged = [_judged(view, pictures["mesh"][view.name]) for view in views]
+    judged = []
+    for view in views:
+        whole, on_mesh = view.mask > MASK_INSIDE, pictures["mesh"][view.name][..., 3] > 0
+        judged.append(Judged(view=view, whole=whole, seen=whole & on_mesh))
     if strip is not None:
         save_sheet(strip, strip_rows(judged, pictures))
     return _table(judged, pictures)
@@ -194,11 +196,9 @@ def _warped(
     """The nearest photographs and the mean of all on a surface, by view."""
     cameras = [view.camera for view in views]
     made = list(warped_views(mesh, photographs, cameras, RAY_OFFSET))
-    names = [view.name for view in views]
-    return (
-        {name: one.nearest for name, one in zip(names, made, strict=True)},
-        {name: one.mean for name, one in zip(names, made, strict=True)},
-    )
+    by_name = dict(zip((view.name for view in views), made, strict=True))
+    nearest = {name: one.nearest for name, one in by_name.items()}
+    return nearest, {name: one.mean for name, one in by_name.items()}
 
 
 def _on_hull(photographs: Sequence[View], views: Sequence[View]) -> Pictures:
@@ -223,16 +223,9 @@ def _sized(picture: Picture, view: View) -> Picture:
     return np.asarray(image.convert("RGBA"))
 
 
-def _judged(view: View, on_mesh: Picture) -> Judged:
-    """Where a view is compared, by the nearest photographs on the mesh."""
-    whole = view.mask > MASK_INSIDE
-    return Judged(view=view, whole=whole, seen=whole & (on_mesh[..., 3] > 0))
-
-
 def _table(
     judged: Sequence[Judged], pictures: Mapping[str, Pictures], verdict: str | None = None
 ) -> dict[str, Any]:
-    """What `level_scores` returns."""
     chain: dict[str, dict[str, Any]] = {}
     before: tuple[str, dict[str, Any]] | None = None
     for level in LEVELS:

@@ -116,7 +116,6 @@ def _make_blend(paths: JobPaths, facts: AssetFacts, progress: Callable[[float, s
 
 
 def _made_of(paths: JobPaths, facts: AssetFacts) -> dict[str, Any]:
-    """What the asset depends on."""
     manifest = read_record(paths.manifest(STAGES[-1]), _MANIFEST)
     about = {"revision": REVISION, "export": manifest["fingerprint"]}
     return table_from_settings(facts) | about

@@ -8,7 +8,6 @@ are written from the top, as glTF wants them.
 
 from __future__ import annotations
 
-import io
 import json
 import struct
 from collections.abc import Callable, Iterable
@@ -17,11 +16,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from robir import __version__
 from robir.evaluation.metrics import srgb_from_linear
-from robir.export.textures import Codes, Part, Textures, codes
+from robir.export.textures import Codes, Part, Textures, codes, encoded
 from robir.geometry.mesh.triangles import Mesh
 from robir.jobs.paths import replacing
 
@@ -71,7 +69,10 @@ def write_glb(path: Path, parts: Iterable[Part], name: str) -> None:
 def glb_bytes(
     parts: Iterable[Part],
     name: str,
-    encode: Callable[[Codes], tuple[bytes, str]] = lambda image: (_png(image), "image/png"),
+    encode: Callable[[Codes], tuple[bytes, str]] = lambda image: (
+        encoded(image, format="PNG"),
+        "image/png",
+    ),
 ) -> bytes:
     """A mesh whose unwrapped parts each have a material, as a glTF binary file, capture frame.
 
@@ -90,7 +91,7 @@ def glb_bytes(
         materials.append(_material(part, name, len(images)))
         for kind, picture in _pictures(part.textures).items():
             label = kind if part.tile is None else f"{kind}.{part.tile}"
-            content, kind_of_file = encode(picture)
+            content, kind_of_file = (encode or _png)(picture)
             view = buffer.add_view(content)
             images.append({"bufferView": view, "mimeType": kind_of_file, "name": label})
     document = {
@@ -116,10 +117,11 @@ def glb_bytes(
 def _primitive(buffer: _Buffer, mesh: Mesh) -> dict[str, Any]:
     """Triangles with what their corners carry."""
     corners, vertex, uv = _welded(mesh)
+    from_top = np.stack([mesh.uvs[uv, 0], 1.0 - mesh.uvs[uv, 1]], axis=1)
     attributes = {
         "POSITION": buffer.add_array(_y_up(mesh.vertices[vertex]), "VEC3", is_position=True),
         "NORMAL": buffer.add_array(_y_up(_unit(mesh.normals[vertex])), "VEC3"),
-        "TEXCOORD_0": buffer.add_array(_from_top(mesh.uvs[uv]), "VEC2"),
+        "TEXCOORD_0": buffer.add_array(from_top.astype(np.float32), "VEC2"),
     }
     indices = buffer.add_array(corners.astype(np.uint32).ravel(), "SCALAR")
     return {"attributes": attributes, "indices": indices}
@@ -173,10 +175,6 @@ def _unit(normals: NDArray[np.float32]) -> NDArray[np.float32]:
     return (normals / np.maximum(length, 1e-12)).astype(np.float32)
 
 
-def _from_top(uvs: NDArray[np.float32]) -> NDArray[np.float32]:
-    return np.stack([uvs[:, 0], 1.0 - uvs[:, 1]], axis=1).astype(np.float32)
-
-
 def _surface_codes(textures: Textures) -> Codes:
     roughness = codes(textures.roughness)
     metallic = np.zeros_like(roughness) if textures.metallic is None else codes(textures.metallic)
@@ -184,10 +182,8 @@ def _surface_codes(textures: Textures) -> Codes:
     return np.stack([np.full_like(roughness, 255), roughness, metallic], axis=-1)
 
 
-def _png(image: Codes) -> bytes:
-    stream = io.BytesIO()
-    Image.fromarray(image).save(stream, format="PNG")
-    return stream.getvalue()
+def _png(image: Codes) -> tuple[bytes, str]:
+    return encoded(image, format="PNG"), "image/png"
 
 
 def _chunks(document: dict[str, Any], binary: bytes) -> bytes:
@@ -195,10 +191,5 @@ def _chunks(document: dict[str, Any], binary: bytes) -> bytes:
     text += b" " * (-len(text) % 4)
     binary += b"\0" * (-len(binary) % 4)
     total = 12 + 8 + len(text) + 8 + len(binary)
-    return b"".join(
-        (
-            struct.pack("<4sII", b"glTF", 2, total),
-            struct.pack("<I4s", len(text), b"JSON") + text,
-            struct.pack("<I4s", len(binary), b"BIN\0") + binary,
-        )
-    )
+    head = struct.pack("<4sII", b"glTF", 2, total) + struct.pack("<I4s", len(text), b"JSON")
+    return head + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary

@@ -7,6 +7,7 @@ one texture, which is treated as its only tile, without a number.
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -127,6 +128,13 @@ def write_textures(textures: Textures, folder: Path, tile: int | None = None) ->
 def codes(values: Array) -> Codes:
     """Values in [0, 1] as 8-bit codes, rounded; others are clipped."""
     return np.round(np.clip(values, 0.0, 1.0) * 255.0).astype(np.uint8)
+
+
+def encoded(image: Codes, **how: Any) -> bytes:
+    """Codes as the content of a picture file."""
+    stream = io.BytesIO()
+    Image.fromarray(image).save(stream, **how)
+    return stream.getvalue()
 
 
 def write_png(path: Path, image: Codes) -> None:

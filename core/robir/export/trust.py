@@ -40,14 +40,18 @@ class Sign:
 
     limit: float  # where doubt begins
     near: float  # where a value deserves a look, on the good side of the limit
-    doubtful: Literal["below", "above"]  # on which side of the limit
     reason: str  # what is said to someone who knows no numbers
     message: str  # what is said in doubt; `{value}` is the number
     cure: str  # what the user can do
 
-    def is_doubtful(self, value: float, limit: float) -> bool:
-        """Whether the value lies on the wrong side of a limit."""
-        return value < limit if self.doubtful == "below" else value > limit
+    @property
+    def doubtful(self) -> Literal["below", "above"]:
+        """On which side of the limit doubt is."""
+        return "below" if self.limit < self.near else "above"
+
+    def is_doubtful(self, value: float) -> bool:
+        """Whether the value lies on the wrong side of the limit."""
+        return value < self.limit if self.doubtful == "below" else value > self.limit
 
 
 # what is looked at, by the name in report.json
@@ -55,7 +59,6 @@ SIGNS: dict[str, Sign] = {
     "outline": Sign(
         limit=0.97,
         near=0.98,
-        doubtful="below",
         reason="the model's outline differs from the masks",
         message="the surface's outline and the masks overlap by only {value:.1%}",
         cure="check the masks for holes and spill, and that poses and photographs belong together",
@@ -63,7 +66,6 @@ SIGNS: dict[str, Sign] = {
     "rerender": Sign(
         limit=18.0,
         near=21.0,
-        doubtful="below",
         reason="the model does not look like photographs that it never saw",
         message="the re-render of held-out photographs reaches only {value:.1f} dB",
         cure="look at the report: what differs there the model cannot explain",
@@ -71,7 +73,6 @@ SIGNS: dict[str, Sign] = {
     "disagreement": Sign(
         limit=0.195,
         near=0.15,
-        doubtful="above",
         reason="photographs disagree about how bright the same spot is",
         message="photographs disagree about the brightness of the same spot by {value:.0%}",
         cure="lock exposure and white balance while photographing, and check the poses",
@@ -79,7 +80,6 @@ SIGNS: dict[str, Sign] = {
     "views": Sign(
         limit=3.0,
         near=5.0,
-        doubtful="below",
         reason="few photographs see each spot",
         message="a visible spot is seen by {value:.1f} photographs on average",
         cure="add photographs; 20 around the object are a good start",
@@ -87,7 +87,6 @@ SIGNS: dict[str, Sign] = {
     "clipped": Sign(
         limit=0.1,
         near=0.07,
-        doubtful="above",
         reason="parts of the object are burnt out to white",
         message="{value:.0%} of the object is burnt out to white",
         cure="photograph darker; what is clipped has no material to be read",
@@ -95,7 +94,6 @@ SIGNS: dict[str, Sign] = {
     "shown": Sign(
         limit=0.05,
         near=0.035,
-        doubtful="above",
         reason="parts of the model look worse than a plain mean of the photographs",
         message="{value:.0%} of the surface is shown worse than by the mean of its photographs",
         cure="look at the report: the light or the surface is wrong there",
@@ -103,7 +101,6 @@ SIGNS: dict[str, Sign] = {
     "rivals": Sign(
         limit=16.0,
         near=24.0,
-        doubtful="below",
         reason="the photographs fit two tone curves with different albedo",
         message="photographs fit another tone curve as well, under which albedo is another: "
         "{value:.0f} dB apart",
@@ -112,7 +109,6 @@ SIGNS: dict[str, Sign] = {
     "paint": Sign(
         limit=3.0,
         near=2.0,
-        doubtful="above",
         reason="the colour that you know contradicts the light",
         message="the paint that you know asks for a light {value:.1f} standard errors from all "
         "else that tells how bright it is",
@@ -136,18 +132,17 @@ def quality(
     result; "verdict" as of `verdict`.
     """
     values = signs(capture, mesh, arrays, rerender) | left_open
-    limits = {name: SIGNS[name].limit for name in values}
     doubts = [
         f"{SIGNS[name].message.format(value=value)}; {SIGNS[name].cure}"
         for name, value in values.items()
-        if SIGNS[name].is_doubtful(value, limits[name])
+        if SIGNS[name].is_doubtful(value)
     ]
     return {
         "is_trusted": not doubts,
         "doubts": doubts,
         "verdict": verdict(values),
         "signs": {
-            name: {"value": value, "limit": limits[name], "doubtful": SIGNS[name].doubtful}
+            name: {"value": value, "limit": SIGNS[name].limit, "doubtful": SIGNS[name].doubtful}
             for name, value in values.items()
         },
     }
@@ -167,9 +162,7 @@ def verdict(values: dict[str, float]) -> dict[str, str]:
     if way[worst] <= 0.0:
         return {"word": "Good", "reason": "", "remedy": ""}
     sign = SIGNS[worst]
-    is_doubtful = any(
-        SIGNS[name].is_doubtful(value, SIGNS[name].limit) for name, value in values.items()
-    )
+    is_doubtful = any(SIGNS[name].is_doubtful(value) for name, value in values.items())
     word = "Doubtful" if is_doubtful else "Check this"
     return {"word": word, "reason": sign.reason, "remedy": sign.cure}
 

@@ -308,7 +308,6 @@ def _tail(path: Path) -> list[str]:
 
 
 def _failure(printed: Sequence[str]) -> dict[str, Any] | None:
-    """The last sentence of a worker that could say why it ended."""
     for line in reversed(printed):
         try:
             event = json.loads(line)

@@ -85,11 +85,7 @@ def _why_no_cuda() -> str:
 
 def _processor() -> str:
     cores = f"{os.cpu_count()} cores"
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        lines = []
-    models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    models = _told("/proc/cpuinfo", "model name")
     name = models[0] if models else platform.processor() or platform.machine()
     return f"{name}, {cores}"
 
@@ -99,16 +95,20 @@ def _main_memory() -> tuple[int, int]:
     if sys.platform == "win32":
         return _windows_memory()
     total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    available = _told("/proc/meminfo", "MemAvailable")
+    return total, 1024 * int(available[0].split()[0]) if available else 0
+
+
+def _told(file: str, key: str) -> list[str]:
+    """Values of a key in a file of Linux; none on other systems."""
     try:
-        lines = Path("/proc/meminfo").read_text(encoding="utf-8").splitlines()
+        lines = Path(file).read_text(encoding="utf-8").splitlines()
     except OSError:
-        return total, 0
-    available = [int(line.split()[1]) for line in lines if line.startswith("MemAvailable")]
-    return total, 1024 * available[0] if available else 0
+        return []
+    return [line.partition(":")[2].strip() for line in lines if line.startswith(key)]
 
 
 def _windows_memory() -> tuple[int, int]:
-    """As `_main_memory`, from GlobalMemoryStatusEx."""
     import ctypes
 
     # dwLength and dwMemoryLoad share the first eight bytes; seven sizes of eight bytes follow

@@ -83,11 +83,8 @@ def refuse_nan(stage: str, metrics: Mapping[str, Any], folder: Path) -> None:
     """Refuse metrics that are not finite, and arrays with a NaN, by a `QualityError`."""
     import numpy as np
 
-    broken = [
-        name
-        for name, value in metrics.items()
-        if isinstance(value, float) and not math.isfinite(value)
-    ]
+    floats = {name: value for name, value in metrics.items() if isinstance(value, float)}
+    broken = [name for name, value in floats.items() if not math.isfinite(value)]
     for path in sorted(folder.glob("*.npz")):
         with np.load(path, allow_pickle=False) as arrays:
             for name in arrays.files:
@@ -164,8 +161,5 @@ def _is_out_of_memory(error: BaseException) -> bool:
 
 
 def _is_below(error: OSError, out: Path | None) -> bool:
-    return (
-        out is not None
-        and error.filename is not None
-        and Path(str(error.filename)).is_relative_to(out)
-    )
+    is_known = out is not None and error.filename is not None
+    return is_known and Path(str(error.filename)).is_relative_to(out)

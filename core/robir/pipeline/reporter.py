@@ -148,7 +148,6 @@ class RunReporter:
 
 
 def _known_metrics(paths: JobPaths, pending: Sequence[str]) -> dict[str, Any]:
-    """Metrics of the stages that were done before."""
     metrics: dict[str, Any] = {}
     for stage in STAGES:
         if stage not in pending:

@@ -131,7 +131,6 @@ def _bring_up_to_date(
 
 
 def _has_asset(request: RunRequest, paths: JobPaths) -> bool:
-    """Whether the asset is there, or none is to be made."""
     if request.asset is None or request.until != STAGES[-1]:
         return True
     return is_current(paths, request.asset)

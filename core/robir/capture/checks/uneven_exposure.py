@@ -128,7 +128,6 @@ def exposure_offsets(brightness: Array) -> Array:
 
 
 def _level(view: View) -> float:
-    """Brightness of the object in stops."""
     inside = view.mask >= 250
     pixels = view.image_display[inside if inside.any() else slice(None)]
     means = ((pixels.reshape(-1, 3) / 255.0) ** POWER).mean(axis=0)

@@ -220,14 +220,14 @@ def _zoom_without_gaps(
     raise refuse("distortion", message, cure + "and give that folder.")
 
 
-_PREVIEW_SIDE = 160  # longer side of each of the two pictures, pixels
-_PREVIEW_GREY = 48  # grey behind the object, display value
+PREVIEW_SIDE = 160  # longer side of each of the two pictures, pixels
+PREVIEW_GREY = 48  # grey behind the object, display value
 
 
 def save_preview(path: Path, photo: NDArray[np.uint8], rendering: NDArray[np.uint8]) -> None:
     """Write a photograph and its rendering, (H, W, 4) display RGBA each, side by side as PNG."""
-    size = size_within((photo.shape[1], photo.shape[0]), _PREVIEW_SIDE)
-    sheet = Image.new("RGB", (2 * size[0], size[1]), (_PREVIEW_GREY,) * 3)
+    size = size_within((photo.shape[1], photo.shape[0]), PREVIEW_SIDE)
+    sheet = Image.new("RGB", (2 * size[0], size[1]), (PREVIEW_GREY,) * 3)
     for column, picture in enumerate((photo, rendering)):
         small = Image.fromarray(picture, "RGBA").resize(size, Image.Resampling.BOX)
         sheet.paste(small, (column * size[0], 0), small)

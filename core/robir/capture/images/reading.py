@@ -120,7 +120,6 @@ def _check_size(size: Size, frame: Frame) -> None:
 
 
 def _drawn(path: Path, stored: StoredPhoto, frame: Frame) -> MaskSource:
-    """A mask from its file."""
     is_turned, turn = None, stored.orientation
     if frame.is_mask_upright is not None:
         is_turned = frame.is_mask_upright != frame.is_upright

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from robir.capture.bounds import kept, shown, silhouette
 from robir.capture.camera import Camera
 from robir.capture.capture import View
+from robir.capture.images.loading import size_within
 from robir.capture.images.opencv import cv2
 from robir.capture.masks.region import Region
 from robir.workers import blocks, side_by_side
@@ -136,8 +137,7 @@ def reduced(views: Sequence[View], side: int) -> list[Picture]:
     pictures = []
     for view in views:
         camera = view.camera
-        scale = min(1.0, side / max(camera.width, camera.height))
-        size = (max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
+        size = size_within((camera.width, camera.height), side)
         small = cv2.resize(view.image_display, size, interpolation=cv2.INTER_AREA)
         pictures.append(Picture(cv2.cvtColor(small, cv2.COLOR_RGB2LAB), camera.resized(*size)))
     return pictures
@@ -172,8 +172,7 @@ def sharpened(image_display: Bytes, belief: Layer) -> Bytes:
     (y0, x0), (y1, x1) = np.rint(low * scale).astype(int), np.rint(high_end * scale).astype(int)
     part = image_display[y0:y1, x0:x1]
     own = small[low[0] : high_end[0], low[1] : high_end[1]].astype(np.float32)
-    zoom = min(1.0, _FINE_SIDE / max(part.shape[:2]))
-    size = (max(1, round(part.shape[1] * zoom)), max(1, round(part.shape[0] * zoom)))
+    size = size_within((part.shape[1], part.shape[0]), _FINE_SIDE)
     inside = (cv2.resize(own, size, interpolation=cv2.INTER_LINEAR) > 0.5).astype(np.uint8)
     square = _disc(max(1, round(_BAND * max(size) / max(own.shape))))
     labels = np.where(inside, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)

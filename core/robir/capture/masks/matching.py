@@ -18,6 +18,7 @@ from scipy.sparse.csgraph import connected_components
 
 from robir.capture.camera import Camera
 from robir.capture.capture import View
+from robir.capture.images.loading import size_within
 from robir.capture.images.opencv import cv2
 from robir.capture.masks.guess import Array
 
@@ -68,8 +69,7 @@ def features(views: Sequence[View], most: int = FEATURES) -> list[Features]:
     sift = cv2.SIFT_create(nfeatures=most, contrastThreshold=0.02)
     found = []
     for view in views:
-        scale = min(1.0, SIDE / max(view.camera.width, view.camera.height))
-        size = tuple(max(1, round(s * scale)) for s in (view.camera.width, view.camera.height))
+        size = size_within((view.camera.width, view.camera.height), SIDE)
         grey = cv2.cvtColor(view.image_display, cv2.COLOR_RGB2GRAY)
         grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
         points, words = sift.detectAndCompute(grey, None)

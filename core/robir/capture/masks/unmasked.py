@@ -149,7 +149,6 @@ class GuessedMask:
         return mask
 
     def _bent(self, size: tuple[int, int]) -> Layer:
-        """The belief with the distortion of the photograph."""
         if self.lens.distortion.is_null:
             return self.belief
         bent = self.lens.camera(self.camera.camera_to_world, *size)
@@ -200,14 +199,12 @@ def _with_points(frames: FrameSet, views: tuple[View, ...]) -> tuple[tuple[View,
 
 
 def _where_masks(folder: Path | None) -> str:
-    """Where guessed masks can be looked at."""
     if folder is None:
         return "robir reconstruct writes them into the folder masks of the result, to be looked at"
     return f"they lie in {folder}: look at them, mend a copy, and give that with --masks DIR"
 
 
 def _account(guess: Guess, views: Sequence[View], folder: Path | None) -> list[Finding]:
-    """Findings about guessed masks."""
     agreement, contrast = (100 * float(np.median(x)) for x in (guess.agreement, guess.contrast))
     message = f"The photographs have no masks, so masks were guessed from {guess.region.origin}: "
     message += f"they agree with each other to {agreement:.0f} %, colour alone decides "

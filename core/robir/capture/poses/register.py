@@ -265,7 +265,6 @@ def prepare(
 
 
 def _copy(root: Path, path: Path, target: Path) -> _Copy:
-    """Copy one photograph."""
     with header(path) as picture:
         exif = exif_values(picture)
         turn = orientation(picture)
@@ -298,7 +297,6 @@ def _grouped(copies: Sequence[_Copy]) -> list[Prepared]:
 
 
 def _remarks(copies: Sequence[_Copy]) -> list[Finding]:
-    """Notes on panoramas, lenses and EXIF data."""
     wide = [c.relative for c in copies if max(c.size) > _PANORAMA * min(c.size)]
     message = f"{len(wide)} photographs are much longer than high, as stitched panoramas are"
     cure = "Leave them out: a stitched picture has no single camera."

@@ -124,7 +124,6 @@ def _is_rolling(sensor: Element) -> bool:
 
 
 def _numbers(path: Path, element: Element | None, count: int, what: str) -> Array:
-    """Numbers in an element's text, (count,)."""
     text = "" if element is None or element.text is None else element.text
     try:
         values = np.array([float(word) for word in text.split()])
@@ -194,32 +193,23 @@ def _lens(path: Path, sensor: Element | None, label: str) -> Lens:
     resolution = sensor.find("resolution") if resolution is None else resolution
     size = {} if resolution is None else resolution.attrib
     sides, where = [size.get("width", ""), size.get("height", "")], "the resolution of the sensor"
-    code, where = "bad-intrinsics", f"{where} of {label}"
-    kinds = tuple[Side, Side]
-    width, height = checked(path, sides, kinds, _CURE, where=where, code=code, is_text=True)
-    value = {
-        key: 0.0
-        if calibration.find(key) is None
-        else float(_numbers(path, calibration.find(key), 1, f"{key} of {label}")[0])
-        for key in _CALIBRATION
-    }
+    how = {"where": f"{where} of {label}", "code": "bad-intrinsics", "is_text": True}
+    width, height = checked(path, sides, tuple[Side, Side], _CURE, **how)
+    value = dict.fromkeys(_CALIBRATION, 0.0)
+    for key in _CALIBRATION:
+        if calibration.find(key) is not None:
+            value[key] = float(_numbers(path, calibration.find(key), 1, f"{key} of {label}")[0])
     if value["p3"] or value["p4"]:
         raise _unsupported(path, label, "with P3 and P4")
     fx = value["f"] + value["b1"]
-    lens = Lens(
-        width=width,
-        height=height,
-        fx=fx,
-        fy=value["f"],
-        cx=0.5 * width + value["cx"],
-        cy=0.5 * height + value["cy"],
-        distortion=Distortion(
-            radial=(value["k1"], value["k2"], value["k3"], value["k4"]),
-            tangential=(value["p2"], value["p1"]),
-            skew=value["b2"] / fx if fx > 0 else 0.0,
-            is_fisheye=kind != "frame",
-        ),
+    cx, cy = 0.5 * width + value["cx"], 0.5 * height + value["cy"]
+    bent = Distortion(
+        radial=(value["k1"], value["k2"], value["k3"], value["k4"]),
+        tangential=(value["p2"], value["p1"]),
+        skew=value["b2"] / fx if fx > 0 else 0.0,
+        is_fisheye=kind != "frame",
     )
+    lens = Lens(width=width, height=height, fx=fx, fy=value["f"], cx=cx, cy=cy, distortion=bent)
     return checked_lens(lens, path, label)
 
 

@@ -194,7 +194,6 @@ def _llff_rows(path: Path) -> Array:
 
 
 def _llff_camera(path: Path, row: Array) -> tuple[Lens, Array]:
-    """Intrinsics and camera-to-world."""
     down, right, back, position, (height, width, focal) = row[:15].reshape(3, 5).T
     if not (1 <= height < MAX_NUMBER and 1 <= width < MAX_NUMBER and 0 < focal < MAX_NUMBER):
         message = f"{path} states {width:g}x{height:g} pixels and a focal length of {focal:g}"

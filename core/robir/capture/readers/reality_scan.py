@@ -126,14 +126,9 @@ def _film_lens(
     if size is None:
         return Lens(angle_x=1.0)
     (width, height), longer = size, max(size)
-    return Lens(
-        width=width,
-        height=height,
-        fx=focal * longer / _FILM,
-        cx=0.5 * width + middle[0] * longer,
-        cy=0.5 * height + middle[1] * longer,
-        distortion=distortion,
-    )
+    cx, cy = 0.5 * width + middle[0] * longer, 0.5 * height + middle[1] * longer
+    fx = focal * longer / _FILM
+    return Lens(width=width, height=height, fx=fx, cx=cx, cy=cy, distortion=distortion)
 
 
 def is_sidecar(path: Path) -> bool:

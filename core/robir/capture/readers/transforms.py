@@ -225,17 +225,10 @@ def _lens(path: Path, content: Any, entry: Any, where: str) -> Lens:
     bent = Distortion(radial=(k1, k2, k3, k4), tangential=(p1, p2), is_fisheye=is_fisheye)
     if k5 or k6 or model == _RATIONAL_MODEL:
         bent = Distortion(radial=(k1, k2, k3, 0.0), rational=(k4, k5, k6), tangential=(p1, p2))
-    return Lens(
-        width=int(stated["w"]) if "w" in stated else None,
-        height=int(stated["h"]) if "h" in stated else None,
-        fx=fx,
-        fy=stated.get("fl_y"),
-        cx=stated.get("cx"),
-        cy=stated.get("cy"),
-        angle_x=angle_x,
-        angle_y=stated.get("camera_angle_y"),
-        distortion=bent,
-    )
+    keys = {"fy": "fl_y", "cx": "cx", "cy": "cy", "angle_y": "camera_angle_y"}
+    found = {name: stated.get(key) for name, key in keys.items()}
+    width, height = (int(stated[key]) if key in stated else None for key in ("w", "h"))
+    return Lens(width=width, height=height, fx=fx, angle_x=angle_x, **found, distortion=bent)
 
 
 def _undoing(path: Path, content: Any) -> Callable[[Array], Array]:

@@ -8,7 +8,6 @@ addresses, so that the page needs neither a network nor files beside it.
 from __future__ import annotations
 
 import base64
-import io
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -36,7 +35,7 @@ from robir.evaluation.photos import (
 )
 from robir.export.gltf import glb_bytes
 from robir.export.report.numbers import Rendering
-from robir.export.textures import Codes, Part
+from robir.export.textures import Codes, Part, encoded
 from robir.geometry.mesh.triangles import Mesh
 from robir.jobs.paths import JobPaths, replacing
 from robir.maths.vectors import equirect_directions
@@ -77,8 +76,12 @@ def row_of_view(
         "relit": None if relit is None else read_picture(relit),
     }
     frame = window(view.mask)
+
+    def webp(picture: Picture) -> str:
+        return data_address("image/webp", encoded(picture, format="WEBP", quality=_QUALITY))
+
     shown = {
-        name: None if picture is None else _inline_webp(cut(picture, frame, _SIDE))
+        name: None if picture is None else webp(cut(picture, frame, _SIDE))
         for name, picture in pictures.items()
     }
     return {"name": view.name, "rerender_by": how if again is not None else "", **shown}
@@ -133,22 +136,12 @@ def environment_picture(light: RecoveredLight) -> Picture:
 
 def inline_lossless(picture: Picture) -> str:
     """A picture of numbers as a data address."""
-    return data_address("image/png", _encoded(picture, format="PNG"))
+    return data_address("image/png", encoded(picture, format="PNG"))
 
 
 def data_address(kind: str, content: bytes) -> str:
     """A file of a media type as an address that holds all of it."""
     return f"data:{kind};base64," + base64.b64encode(content).decode("ascii")
-
-
-def _inline_webp(picture: Picture) -> str:
-    return data_address("image/webp", _encoded(picture, format="WEBP", quality=_QUALITY))
-
-
-def _encoded(picture: Picture, **how: Any) -> bytes:
-    stream = io.BytesIO()
-    Image.fromarray(picture).save(stream, **how)
-    return stream.getvalue()
 
 
 Array = NDArray[np.floating[Any]]
@@ -212,9 +205,7 @@ def embedded_asset(parts: Iterable[Part]) -> str:
 def _jpeg(image: Codes) -> tuple[bytes, str]:
     picture = Image.fromarray(image)
     picture.thumbnail((_MOST_TEXELS, _MOST_TEXELS))
-    stream = io.BytesIO()
-    picture.save(stream, format="JPEG", quality=_JPEG_QUALITY)
-    return stream.getvalue(), "image/jpeg"
+    return encoded(np.asarray(picture), format="JPEG", quality=_JPEG_QUALITY), "image/jpeg"
 
 
 def embedded_lights(light: RecoveredLight) -> list[tuple[str, str]]:
