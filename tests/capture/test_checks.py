@@ -18,7 +18,7 @@ from scipy import ndimage
 from robir.capture.capture import Bounds, Finding, View
 from robir.capture.checks.coverage import check_coverage, check_sharpness, upwards
 from robir.capture.checks.findings import check_place
-from robir.capture.checks.uneven_exposure import (
+from robir.capture.checks.photographs import (
     check_brightness,
     check_settings,
     exposure_offsets,

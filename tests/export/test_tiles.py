@@ -20,8 +20,8 @@ from PIL import Image
 from robir.capture.mesh_file import read_mesh
 from robir.evaluation.metrics import srgb_from_linear
 from robir.export import stage, textures
+from robir.export.gltf import write_usd
 from robir.export.textures import finished_textures, write_png
-from robir.export.usd import write_usd
 from robir.geometry.given.layout import Layout, own_layout
 from robir.jobs.paths import of_tile, read_json
 

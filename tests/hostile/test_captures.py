@@ -24,7 +24,7 @@ from robir.capture.config import CaptureConfig
 from robir.capture.images.decode import exif_values, header
 from robir.capture.recognise import check_capture, read_frames
 from robir.errors import CaptureError
-from robir.pipeline.inputs import capture_fingerprint
+from robir.pipeline.ledger import capture_fingerprint
 
 POSTSCRIPT = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 48 48\n%%EndComments\nshowpage\n"
 

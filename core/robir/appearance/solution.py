@@ -21,7 +21,7 @@ from robir.appearance.light.sun_search import polish
 from robir.appearance.light.told import NOTHING_TOLD, Told
 from robir.appearance.material.gloss import Gloss, estimate_gloss
 from robir.appearance.material.metal import SOLVED_WITHOUT
-from robir.jobs.choice import Choice
+from robir.jobs.context import Choice
 from robir.steps import Course, Step
 
 # how much more firmly a told level is held than its error asks. In a solve pairs of neighbours

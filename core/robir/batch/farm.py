@@ -27,7 +27,7 @@ _MIB = 1 << 20
 _SCRIPT = Path(__file__).with_name("templates") / "slurm.sh"  # fixed; all else are words
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Place:
     """A folder that a farm may have elsewhere."""
 
@@ -204,10 +204,8 @@ def library_job(
     return Job(
         name=f"RobIR {root.name}",
         places={
-            "Library": Place(
-                path=root, flow="INOUT", about="Results, assets and the contact sheet"
-            ),
-            "Captures": Place(path=captures, flow="IN", about="Folder that holds all captures"),
+            "Library": Place(root, "INOUT", "Results, assets and the contact sheet"),
+            "Captures": Place(captures, "IN", "Folder that holds all captures"),
         },
         steps=steps,
     )

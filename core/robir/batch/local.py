@@ -56,7 +56,7 @@ def is_done(plan: Plan, entry: Entry, paths: LibraryPaths) -> bool:
         run = read_run(job)
         if run is None or run["state"] != "done" or read_config(job) != config:
             return False
-        from robir.pipeline.inputs import capture_fingerprint  # a second to load
+        from robir.pipeline.ledger import capture_fingerprint  # a second to load
 
         follows_links = config.capture.outside == "take"
         capture = capture_fingerprint(request.capture, request.masks, request.out, follows_links)

@@ -14,7 +14,7 @@ from pathlib import Path
 from robir.errors import UsageError
 from robir.jobs.library import LibraryPaths
 from robir.jobs.names import UnsafeNameError, checked_name, file_in
-from robir.pipeline.inputs import is_capture_file
+from robir.pipeline.ledger import is_capture_file
 
 _WILD = re.compile(r"[*?[]")
 # names that Windows keeps for devices, whatever follows a dot

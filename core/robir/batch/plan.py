@@ -95,7 +95,7 @@ class Plan:
 
     def facts(self, entry: Entry) -> AssetFacts:
         """What is known of an entry's asset."""
-        options = {"textures": self.options.textures, "formats": self.options.made}
+        options: dict[str, Any] = {"textures": self.options.textures, "formats": self.options.made}
         return AssetFacts(**entry.about, **options)
 
 

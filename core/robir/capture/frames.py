@@ -129,10 +129,10 @@ class Lens:
             return None
         return self.width, self.height
 
-    def camera(self, camera_to_world: Array, width: int, height: int) -> Camera:
+    def camera(self, pose: Array, width: int, height: int) -> Camera:
         """The pinhole camera of an image of this size, distortion aside."""
         if self.size is not None and self.size != (width, height):
-            return self.camera(camera_to_world, *self.size).resized(width, height)
+            return self.camera(pose, *self.size).resized(width, height)
         fx, fy = self.fx, self.fy
         if fx is None:
             if self.angle_x is None:
@@ -140,10 +140,10 @@ class Lens:
             fx = 0.5 * width / np.tan(0.5 * self.angle_x)
             if fy is None and self.angle_y is not None:
                 fy = 0.5 * height / np.tan(0.5 * self.angle_y)
-        lens = {"fx": float(fx), "fy": float(fx if fy is None else fy)}
-        lens["cx"] = 0.5 * width if self.cx is None else self.cx
-        lens["cy"] = 0.5 * height if self.cy is None else self.cy
-        return Camera(width=width, height=height, **lens, camera_to_world=camera_to_world)
+        fx, fy = float(fx), float(fx if fy is None else fy)
+        cx = 0.5 * width if self.cx is None else self.cx
+        cy = 0.5 * height if self.cy is None else self.cy
+        return Camera(width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy, camera_to_world=pose)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

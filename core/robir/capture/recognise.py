@@ -28,8 +28,7 @@ from robir.capture.checks.findings import (
     check_place,
     place_object,
 )
-from robir.capture.checks.turns import prepared
-from robir.capture.checks.uneven_exposure import check_brightness, check_settings
+from robir.capture.checks.photographs import check_brightness, check_settings, prepared
 from robir.capture.config import CaptureConfig
 from robir.capture.formats import KNOWN, reader_of, unread_poses
 from robir.capture.frames import Frame, FrameSet, PosedRefusedError, rigid
@@ -242,16 +241,11 @@ def _read_posed(
     for check in _CHECKS:
         findings += check(views, bounds)
     progress(1.0, "capture read")
-    return Capture(
-        source=source,
-        format=frames.format,
-        views=views,
-        bounds=bounds,
-        findings=tuple(findings),
-        table=loaded.table,
-        is_linear=loaded.is_linear,
-        photographs={frame.name: frame.image for frame in frames.frames},
-    )
+    facts: dict[str, Any] = {"source": source, "format": frames.format}
+    facts["findings"] = tuple(findings)
+    facts |= {"table": loaded.table, "is_linear": loaded.is_linear}
+    facts["photographs"] = {frame.name: frame.image for frame in frames.frames}
+    return Capture(views=views, bounds=bounds, **facts)
 
 
 def _load_masked(

@@ -124,16 +124,9 @@ def view_layers(
         normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
         material = _pixel_means(material, sub_pixels) / share
         normal[~hit], material[~hit] = 0.0, 0.0
-        layers.append(
-            Layers(
-                hit=hit,
-                position=seen.position[centre],
-                normal=normal,
-                albedo_linear=material[..., :3],
-                roughness=material[..., 3],
-                uncertainty=material[..., 4] if "uncertainty" in textures else None,
-            )
-        )
+        parts: dict[str, Any] = {"albedo_linear": material[..., :3], "roughness": material[..., 3]}
+        parts["uncertainty"] = material[..., 4] if "uncertainty" in textures else None
+        layers.append(Layers(hit=hit, position=seen.position[centre], normal=normal, **parts))
     return tuple(layers)
 
 

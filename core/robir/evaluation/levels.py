@@ -316,12 +316,13 @@ LEVEL_HEAD = ("level", "", "dB", "SSIM", "gradient", "dB, whole mask", "loss, dB
 def level_cells(levels: Mapping[str, Any]) -> list[list[str]]:
     """The table of `level_scores` as it is shown, a row a level."""
 
-    def text(value: float | None, digits: int, sign: str = "") -> str:
+    def text(value: float | None, digits: int, sign: str) -> str:
         return "-" if value is None else f"{value:{sign}.{digits}f}"
 
-    kinds = (("psnr", 1), ("ssim", 3), ("gradient", 2), ("psnr_whole_mask", 1), ("loss", 1, "+"))
+    kinds = {"psnr": (1, ""), "ssim": (3, ""), "gradient": (2, ""), "psnr_whole_mask": (1, "")}
+    kinds["loss"] = (1, "+")
     return [
-        [row["letter"], row["title"], *(text(row[kind], *how) for kind, *how in kinds)]
+        [row["letter"], row["title"], *(text(row[kind], *how) for kind, how in kinds.items())]
         for row in levels["chain"].values()
     ]
 

@@ -30,13 +30,9 @@ class Score:
 
     def badness(self, value: float) -> float:
         """Larger is worse."""
-        return {
-            "high": -value,
-            "low": value,
-            "one": abs(value - 1.0),
-            "zero": abs(value),
-            "nine tenths": abs(value - 0.9),
-        }[self.best]
+        if self.best in ("high", "low"):
+            return -value if self.best == "high" else value
+        return abs(value - {"one": 1.0, "zero": 0.0, "nine tenths": 0.9}[self.best])
 
     def text(self, value: float | None) -> str:
         """The value as shown."""

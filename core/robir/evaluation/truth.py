@@ -167,7 +167,7 @@ def _cameras(path: Path) -> dict[str, Camera]:
 
 def _camera(table: dict[str, Any], camera_to_world: list[list[float]]) -> Camera:
     names = {"width": "w", "height": "h", "fx": "fl_x", "fy": "fl_y", "cx": "cx", "cy": "cy"}
-    lens = {name: table[key] for name, key in names.items()}
+    lens: dict[str, Any] = {name: table[key] for name, key in names.items()}
     return Camera(**lens, camera_to_world=np.array(camera_to_world, np.float64))
 
 
@@ -181,17 +181,11 @@ def _view(capture: Path, name: str, camera: Camera, photograph: Path) -> TrueVie
     size = (camera.height, camera.width)
     if {photo.shape[:2], *(channel.shape for channel in image.values())} != {size}:
         raise ValueError(f"the pictures of {name} are not of the same size as its camera")
-    return TrueView(
-        name=name,
-        camera=camera,
-        photo_display=photo,
-        albedo=_triple(image, "albedo", "RGB"),
-        roughness=image["roughness"],
-        normal=_triple(image, "normal", "XYZ"),
-        position=_triple(image, "position", "XYZ"),
-        hit=image["hit"] > 0.5,
-        sun_visibility=image["sun_visibility"],
-    )
+    axes = {"albedo": "RGB", "normal": "XYZ", "position": "XYZ"}
+    triples = {key: _triple(image, key, letters) for key, letters in axes.items()}
+    planes = {key: image[key] for key in ("roughness", "sun_visibility")}
+    known: dict[str, Any] = triples | planes | {"hit": image["hit"] > 0.5}
+    return TrueView(name=name, camera=camera, photo_display=photo, **known)
 
 
 class TooLargeError(ValueError):

@@ -93,7 +93,7 @@ def make_asset(paths: JobPaths, facts: AssetFacts, progress: Callable[[float, st
     paths.library_facts.unlink(missing_ok=True)
     if "usd" in others:
         progress(0.0, "writing USD")
-        from robir.export.usd import write_usd  # numpy and the stages' files
+        from robir.export.gltf import write_usd  # numpy and the stages' files
 
         write_usd(paths, {"author": facts.author, "licence": facts.licence})
         write_json(paths.library_facts, _made_of(paths, replace(facts, formats=others)))

@@ -74,17 +74,12 @@ def run_headless(arguments: Sequence[str], on_progress: Callable[[float, str], N
     command, environment = _command(arguments)
     start, before = time.monotonic(), os.times()
     last: dict[str, Any] = {}
+    how: dict[str, Any] = {"text": True, "encoding": "utf-8", "errors": "replace"}
+    how["env"] = {**environment, _FOLLOWED: "1", _THREADS: str(num_workers())}
     with (
         tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as complaints,
         subprocess.Popen(
-            command,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=complaints,
-            text=True,
-            encoding="utf-8",
-            errors="replace",
-            env={**environment, _FOLLOWED: "1", _THREADS: str(num_workers())},
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=complaints, **how
         ) as process,
     ):
         try:

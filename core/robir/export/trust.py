@@ -137,15 +137,12 @@ def quality(
         for name, value in values.items()
         if SIGNS[name].is_doubtful(value)
     ]
-    return {
-        "is_trusted": not doubts,
-        "doubts": doubts,
-        "verdict": verdict(values),
-        "signs": {
-            name: {"value": value, "limit": SIGNS[name].limit, "doubtful": SIGNS[name].doubtful}
-            for name, value in values.items()
-        },
+    found = {
+        name: {"value": value, "limit": SIGNS[name].limit, "doubtful": SIGNS[name].doubtful}
+        for name, value in values.items()
     }
+    whole = {"is_trusted": not doubts, "doubts": doubts}
+    return whole | {"verdict": verdict(values), "signs": found}
 
 
 def verdict(values: dict[str, float]) -> dict[str, str]:

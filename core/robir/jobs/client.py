@@ -160,14 +160,8 @@ def snapshot(root: Path) -> Snapshot:
         return Snapshot(state="none")
     is_current = status is not None and status.heartbeat != begun.get("status_before")
     if status is not None and is_current:
-        known = Snapshot(
-            state="running",
-            stage=status.stage,
-            fraction=status.fraction,
-            message=status.message,
-            seconds_left=status.seconds_left,
-            metrics=status.metrics,
-        )
+        shared = ("stage", "fraction", "message", "seconds_left", "metrics")
+        known = Snapshot(state="running", **{key: getattr(status, key) for key in shared})
         if status.state != "running":
             _reap(root, 0.0)
             return _ended(paths, known, status.state, status.message, status.exit_code)
@@ -265,7 +259,10 @@ def _ended(
     paths: JobPaths, known: Snapshot, state: State, message: str, exit_code: int | None
 ) -> Snapshot:
     found = _read(paths.run, _RUN).get("warnings", ())
-    facts = {"warnings": tuple(warning["message"] for warning in found), "exit_code": exit_code}
+    facts: dict[str, Any] = {
+        "warnings": tuple(warning["message"] for warning in found),
+        "exit_code": exit_code,
+    }
     facts["log"] = () if state == "done" else _log_tail(paths)
     return replace(known, state=state, message=message, seconds_left=None, **facts)
 

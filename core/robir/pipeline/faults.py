@@ -161,5 +161,6 @@ def _is_out_of_memory(error: BaseException) -> bool:
 
 
 def _is_below(error: OSError, out: Path | None) -> bool:
-    is_known = out is not None and error.filename is not None
-    return is_known and Path(str(error.filename)).is_relative_to(out)
+    if out is None or error.filename is None:
+        return False
+    return Path(str(error.filename)).is_relative_to(out)

@@ -51,21 +51,11 @@ def new_run(
     *, capture: dict[str, Any], preset: str, config: RunConfig, execution: Execution
 ) -> dict[str, Any]:
     """Contents of `run.json` before the first stage; `capture` is that of `capture_facts`."""
-    return {
-        "robir_version": __version__,
-        "python": platform.python_version(),
-        "platform": f"{platform.system()} {platform.machine()}",
-        "torch": version("torch"),
-        "device": execution.device,
-        "threads": execution.threads,
-        "preset": preset,
-        "seed": config.seed,
-        "state": "running",
-        "capture": capture,
-        "seconds": {},
-        "peak_memory_bytes": {},
-        "warnings": [],
-    }
+    system = f"{platform.system()} {platform.machine()}"
+    made = {"robir_version": __version__, "python": platform.python_version(), "platform": system}
+    made |= {"torch": version("torch"), "device": execution.device, "threads": execution.threads}
+    made |= {"preset": preset, "seed": config.seed, "state": "running", "capture": capture}
+    return made | {"seconds": {}, "peak_memory_bytes": {}, "warnings": []}
 
 
 def capture_facts(

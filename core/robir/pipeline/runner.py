@@ -23,12 +23,13 @@ from robir.jobs.paths import STAGES, JobPaths, replacing, write_json
 from robir.pipeline import folder
 from robir.pipeline.device import Execution, Usage, peak_memory_bytes
 from robir.pipeline.faults import refuse_nan, stop_requested, translated
-from robir.pipeline.inputs import capture_fingerprint, mesh_fingerprint
 from robir.pipeline.ledger import (
     StageModule,
     StageState,
+    capture_fingerprint,
     clear_for_rerun,
     judged,
+    mesh_fingerprint,
     remove_leftovers,
     stage_fingerprints,
     stage_state,
@@ -213,22 +214,19 @@ class _Run:
         paths.stage(stage).mkdir(parents=True, exist_ok=True)
         _seed_everything(request.config.seed)
         before = Usage.now()
-        context = StageContext(
-            paths=paths,
-            config=getattr(request.config, stage),
-            source=request.source,
-            masks=request.masks,
-            seed=request.config.seed,
-            device=request.execution.device,
-            reporter=self._reporter,
-            mesh=request.mesh,
-        )
+        given: dict[str, Any] = {
+            "source": request.source,
+            "masks": request.masks,
+            "mesh": request.mesh,
+        }
+        how: dict[str, Any] = {"seed": request.config.seed, "device": request.execution.device}
+        config = getattr(request.config, stage)
+        context = StageContext(paths=paths, config=config, reporter=self._reporter, **given, **how)
         metrics = dict(module.run(context))
         refuse_nan(stage, metrics, paths.stage(stage))
         seconds = Usage.now().seconds_since(before)
         memory = peak_memory_bytes()
-        self._facts["seconds"][stage] = seconds
-        self._facts["peak_memory_bytes"][stage] = memory
+        self._facts["seconds"][stage], self._facts["peak_memory_bytes"][stage] = seconds, memory
         self._facts["warnings"] += self._reporter.take_warnings()
         write_json(paths.run, self._facts)
         facts = {"revision": module.REVISION, "fingerprint": expected, "seed": context.seed}

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from robir.appearance.material.highlights import STEP, UNKNOWN, Highlights, pooled, read
 from robir.appearance.material.trial import Trial
-from robir.jobs.choice import Choice
+from robir.jobs.context import Choice
 
 Floats = NDArray[np.float32]
 Reals = NDArray[np.floating[Any]]

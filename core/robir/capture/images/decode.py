@@ -17,7 +17,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -219,7 +219,7 @@ def _developed(path: Path, file: BinaryIO) -> Image.Image:
     try:
         with rawpy.imread(file) as raw:
             _check_size(path, raw.sizes.raw_width // 2, raw.sizes.raw_height // 2)
-            how = {"half_size": True, "use_camera_wb": True, "no_auto_bright": True}
+            how: Any = {"half_size": True, "use_camera_wb": True, "no_auto_bright": True}
             pixels = raw.postprocess(**how, output_bps=8, gamma=(2.4, 12.92))
     except (rawpy.LibRawError, OSError) as fault:  # type: ignore[attr-defined]
         raise _damaged(path, fault) from None

@@ -22,6 +22,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 from xml.etree.ElementTree import Element  # nosec B405
 
 import numpy as np
@@ -193,7 +194,11 @@ def _lens(path: Path, sensor: Element | None, label: str) -> Lens:
     resolution = sensor.find("resolution") if resolution is None else resolution
     size = {} if resolution is None else resolution.attrib
     sides, where = [size.get("width", ""), size.get("height", "")], "the resolution of the sensor"
-    how = {"where": f"{where} of {label}", "code": "bad-intrinsics", "is_text": True}
+    how: dict[str, Any] = {
+        "where": f"{where} of {label}",
+        "code": "bad-intrinsics",
+        "is_text": True,
+    }
     width, height = checked(path, sides, tuple[Side, Side], _CURE, **how)
     value = dict.fromkeys(_CALIBRATION, 0.0)
     for key in _CALIBRATION:

@@ -226,7 +226,7 @@ def _lens(path: Path, content: Any, entry: Any, where: str) -> Lens:
     if k5 or k6 or model == _RATIONAL_MODEL:
         bent = Distortion(radial=(k1, k2, k3, 0.0), rational=(k4, k5, k6), tangential=(p1, p2))
     keys = {"fy": "fl_y", "cx": "cx", "cy": "cy", "angle_y": "camera_angle_y"}
-    found = {name: stated.get(key) for name, key in keys.items()}
+    found: dict[str, Any] = {name: stated.get(key) for name, key in keys.items()}
     width, height = (int(stated[key]) if key in stated else None for key in ("w", "h"))
     return Lens(width=width, height=height, fx=fx, angle_x=angle_x, **found, distortion=bent)
 

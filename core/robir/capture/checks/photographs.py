@@ -1,13 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Photographs that were not exposed alike: by what the camera wrote, and by how they look.
+"""Whether photographs were exposed alike, and whether poses are for them as EXIF data turns them.
 
-Points of the masks' visual hull are compared between photographs, before there is a surface: good
-enough in the median, while single points go wrong where the hull stands off the object.
+Exposures are compared by what the camera wrote, and at points of the masks' visual hull, before
+there is a surface: good enough in the median, while single points go wrong.
+
+Programs differ in whether poses are for photographs as stored or as EXIF turns them. Sizes tell
+where width and height change places. Where they do not (square photographs, half turns, mirrors),
+both are tried: the masks of the right one have an object in common, and its photographs show the
+same points alike.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,16 +21,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from robir.capture.bounds import INSIDE, kept, silhouette
-from robir.capture.capture import Bounds, Finding, View
+from robir.capture.bounds import INSIDE, Hull, kept, silhouette, sphere_from_masks
+from robir.capture.capture import Bounds, Finding, Split, View
 from robir.capture.checks.coverage import directions_to
-from robir.capture.frames import Array
-from robir.capture.images.decode import exif_values, header
-from robir.capture.images.loading import resize_view
-from robir.capture.refusal import CaptureRefusedError, some, warning
+from robir.capture.frames import LINEAR_SUFFIXES, RAW_SUFFIXES, Array, Frame, FrameSet
+from robir.capture.images.decode import exif_values, header, orientation, stored_size
+from robir.capture.images.loading import resize_view, same_shape
+from robir.capture.masks.given import without_ignoring
+from robir.capture.refusal import CaptureRefusedError, note, refuse, some, warning
+from robir.capture.views import load_views, unheard
 
 POWER = 2.2  # of display values, that stands for the tone curve while it is not known
-SIDE = 400  # longer side of the photographs that are looked at, pixels, at most
+SIGHT_SIDE = 400  # longer side of the photographs that are looked at, pixels, at most
 SETTINGS_SPREAD = 0.15  # stops of exposure between the camera's settings that are let pass
 # stops (standard deviation) by which neighbouring photographs may differ over the whole object:
 # 0.07 under one light and exposure, 0.28 with exposures off by up to half a stop
@@ -33,7 +41,7 @@ BRIGHTNESS_SPREAD = 0.15
 # the visual hull is far from the object, under one light and exposure; else 0.24
 POINT_SPREAD = 0.2
 
-_GRID, _POINTS = 40, 1500
+_GRID, _SIGHT_POINTS = 40, 1500
 _FRONTAL = 0.3  # cosine to the view direction from which a hull's normal is worth something
 _DARKEST = 0.02
 _TIME, _APERTURE, _SPEED, _FLASH = 33434, 33437, 34855, 37385
@@ -104,7 +112,7 @@ def uneven_exposures(views: Sequence[View], bounds: Bounds, brightness: Array) -
     if len(views) < _FEWEST_VIEWS:
         return None
     basis = _harmonics(directions_to(views, bounds))
-    levels = np.array([_level(view) for view in views])
+    levels = np.array([_brightness_of(view) for view in views])
     hat = basis @ np.linalg.pinv(basis)
     left = np.maximum(1 - np.diag(hat), 0.1)
     smooth = float(((levels - hat @ levels) / np.sqrt(left)).std())
@@ -127,7 +135,7 @@ def exposure_offsets(brightness: Array) -> Array:
     return offsets
 
 
-def _level(view: View) -> float:
+def _brightness_of(view: View) -> float:
     inside = view.mask >= 250
     pixels = view.image_display[inside if inside.any() else slice(None)]
     means = ((pixels.reshape(-1, 3) / 255.0) ** POWER).mean(axis=0)
@@ -143,11 +151,11 @@ def _harmonics(directions: Array) -> Array:
 
 def sight(views: Sequence[View], bounds: Bounds) -> Array:
     """Brightness (P, V) in stops at some 1500 points of the masks' hull; NaN where not shown."""
-    views = [resize_view(view, SIDE) for view in views]
+    views = [resize_view(view, SIGHT_SIDE) for view in views]
     inside = _hull(views, bounds)
     half = bounds.radius / _GRID
     cells = np.argwhere(inside & ~ndimage.binary_erosion(inside))
-    cells = cells[:: max(1, len(cells) // _POINTS)]
+    cells = cells[:: max(1, len(cells) // _SIGHT_POINTS)]
     slope = np.gradient(ndimage.gaussian_filter(inside.astype(np.float64), 1.5))
     normals = -np.stack([part[tuple(cells.T)] for part in slope], axis=1)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
@@ -179,3 +187,134 @@ def _hull(views: Sequence[View], bounds: Bounds) -> NDArray[np.bool_]:
     outlines = [silhouette(camera, mask) for camera, mask in masks if mask.any()]
     inside = kept(outlines, grid + bounds.centre, 0.0, int(0.05 * len(outlines)))
     return inside.reshape(_GRID, _GRID, _GRID)
+
+
+Chosen = list[tuple[Frame, Split]]
+
+_SIDE = 160  # longer side of the photographs that are tried, pixels
+_MOST = 24  # photographs that are tried
+_POINTS = 5000  # sparse points that are looked at
+# pixels within which a point that is so much farther away than another is hidden by it
+_CELL, _BEHIND = 6, 1.05
+_AGREE = 0.03  # share of a mask by which masks have to agree better to decide
+_ALIKE = 0.9  # variance of brightness at the same points, against the other turn's, that decides
+
+
+@dataclass(frozen=True, slots=True)
+class _Turn:
+    """What the poses, and the masks, are for: photographs upright (True) or as stored."""
+
+    poses: bool
+    masks: bool
+
+    def of(self, chosen: Chosen) -> Chosen:
+        return [
+            (replace(frame, is_upright=self.poses, is_mask_upright=self.masks), split)
+            for frame, split in chosen
+        ]
+
+    def __str__(self) -> str:
+        poses, masks = (("as stored", "upright")[which] for which in (self.poses, self.masks))
+        return f"poses are for photographs {poses}, masks are drawn on photographs {masks}"
+
+
+def prepared(
+    frames: FrameSet, chosen: Chosen, drawn: Mapping[str, Path]
+) -> tuple[Chosen, dict[str, Path], list[Finding]]:
+    """Frames that know what they are for, masks by name, `drawn` ones first, and findings."""
+    chosen, masks, findings = without_ignoring(chosen, drawn)
+    exif = {f.name: found for f, _ in chosen if (found := _exif_turn(f)) is not None}
+    turns = [_Turn(poses, of_masks) for poses in (False, True) for of_masks in (False, True)]
+    own = {f.name: masks.get(f.name) or f.mask for f, _ in chosen if f.name in exif}
+    for frame, _ in chosen:
+        if frame.name in exif:
+            turns = [t for t in turns if _fits(t, frame, own[frame.name], *exif[frame.name])]
+    has_masks = any(own.values())
+    turns = [turn for turn in turns if has_masks or turn.poses == turn.masks]
+    if not exif or not turns:
+        return chosen, masks, findings
+    found = turns[0] if len(turns) == 1 else _tried(turns, frames, chosen, masks, list(exif))
+    if has_masks or len(turns) > 1:
+        message = f"EXIF data turns {len(exif)} photographs: {found}"
+        findings.append(note("exif-turn", message, *exif))
+    return found.of(chosen), masks, findings
+
+
+def _exif_turn(frame: Frame) -> tuple[int, tuple[int, int]] | None:
+    """EXIF orientation and stored size of a photograph that is not stored upright."""
+    if frame.image.suffix.lower() in (*RAW_SUFFIXES, *LINEAR_SUFFIXES):
+        return None
+    try:
+        with header(frame.image) as picture:
+            turn = orientation(picture)
+            return None if turn == 1 else (turn, picture.size)
+    except CaptureRefusedError:
+        return None
+
+
+def _fits(turn: _Turn, frame: Frame, mask: Path | None, exif: int, stored: tuple[int, int]) -> bool:
+    """Whether sizes allow a photograph's pose and mask to be for what is said."""
+    sizes = {False: stored, True: stored[::-1] if exif >= 5 else stored}
+    declared, lens = sizes[turn.poses], frame.lens
+    if frame.is_upright is not None and frame.is_upright != turn.poses:
+        return False
+    is_scaled = lens.is_scalable and lens.size is not None and same_shape(declared, lens.size)
+    if lens.size not in (None, declared) and not is_scaled:
+        return False
+    drawn = None if mask is None else stored_size(mask)
+    return drawn is None or same_shape(drawn, sizes[turn.masks])
+
+
+def _tried(
+    turns: Sequence[_Turn],
+    frames: FrameSet,
+    chosen: Chosen,
+    masks: Mapping[str, Path],
+    turned: list[str],
+) -> _Turn:
+    """The turn under which masks, and photographs, agree."""
+    few = chosen[:: -(-len(chosen) // _MOST)]
+    loaded = [load_views(turn.of(few), masks, _SIDE, unheard) for turn in turns]
+    if all(any(finding.level == "error" for finding in one.findings) for one in loaded):
+        raise CaptureRefusedError(loaded[0].findings)
+    hulls = [
+        None if one.maskless else sphere_from_masks(one.views, frames.sphere) for one in loaded
+    ]
+    shares = [0.0 if hull is None else hull.strict for hull in hulls]
+    left = [i for i, share in enumerate(shares) if share >= max(shares) - _AGREE]
+    if len(left) > 1:
+        spread = {i: _spread(_brightness(loaded[i].views, hulls[i], frames.points)) for i in left}
+        left = [i for i in left if spread[i] <= min(spread.values()) / _ALIKE]
+    if len(left) != 1:
+        message = f"EXIF data turns {len(turned)} photographs, and neither sizes nor masks nor "
+        message += "what they show tell whether poses are for photographs as stored or turned"
+        cure = "Save the photographs with the turn applied or without EXIF data, as the program "
+        cure += "that found the poses saw them."
+        raise refuse("exif-orientation", message, cure, *turned)
+    return turns[left[0]]
+
+
+def _brightness(views: Sequence[View], hull: Hull | None, points: Array) -> Array:
+    """Brightness of points of the object, or of the sparse points, (P, V); NaN where not seen."""
+    if hull is not None:
+        return sight(views, hull.sphere)
+    result = np.full((len(points[:_POINTS]), len(views)), np.nan)
+    for number, view in enumerate(views):
+        pixels, depth = view.camera.project(points[:_POINTS])
+        seen = np.flatnonzero(view.camera.in_picture(pixels, depth))
+        column, row = pixels[seen].astype(np.int64).T
+        # what lies behind others is hidden
+        cell = row // _CELL * view.camera.width + column // _CELL
+        nearest = np.full(view.mask.size, np.inf)
+        np.minimum.at(nearest, cell, depth[seen])
+        shown = depth[seen] < _BEHIND * nearest[cell]
+        grey = view.image_display.mean(axis=2)[row, column]
+        result[seen[shown], number] = grey[shown]
+    return result
+
+
+def _spread(brightness: Array) -> float:
+    """Variance at the same points against that of all, 1 where there is nothing to compare."""
+    rows = brightness[np.isfinite(brightness).sum(axis=1) > 1]
+    total = float(np.nanvar(rows)) if rows.size else 0.0
+    return float(np.nanvar(rows, axis=1).mean()) / total if total > 0 else 1.0
