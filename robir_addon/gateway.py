@@ -73,8 +73,7 @@ _require_ours()
 
 from robir import __version__
 from robir.jobs import client, library
-from robir.jobs.folder import special_fault
-from robir.jobs.lock import holder
+from robir.jobs.folder import holder, special_fault
 from robir.jobs.names import file_in, leads_out, read_regular
 from robir.jobs.paths import (
     STAGES,

@@ -25,9 +25,8 @@ def reconstruct(options: Namespace) -> int:
     """
     from robir.display import display_for
     from robir.export.asset import read_facts
-    from robir.pipeline.device import choose_execution
+    from robir.pipeline.device import choose_execution, keep_freed_memory
     from robir.pipeline.ledger import judged
-    from robir.pipeline.memory import keep_freed_memory
     from robir.pipeline.runner import RunRequest, load_stages
     from robir.pipeline.runner import reconstruct as run
 
@@ -64,7 +63,7 @@ def batch(options: Namespace) -> int:
 
 def check(options: Namespace) -> int:
     """Say what is noticed about a capture; 3 if it would be refused."""
-    from robir.capture.check import check_capture, stands_of
+    from robir.capture.recognise import check_capture, stands_of
     from robir.capture.refusal import describe
     from robir.capture.store import plain_view
     from robir.display import display_for
@@ -111,8 +110,7 @@ def evaluate(options: Namespace) -> int:
     """
     paths = _finished(options.out)
     from robir.evaluation.evaluate import evaluate as judge
-    from robir.evaluation.level_table import level_lines
-    from robir.evaluation.levels import level_scores
+    from robir.evaluation.levels import level_lines, level_scores
     from robir.evaluation.scores import score_lines
     from robir.export.report.write import show_levels
 
@@ -132,9 +130,9 @@ def relight(options: Namespace) -> int:
     """Render a finished result under another light; prints the pictures' paths."""
     paths = _finished(options.out)
     from robir.display import display_for
-    from robir.evaluation.light_file import refuse_light
+    from robir.evaluation.truth import refuse_light
     from robir.export.blender import run_headless
-    from robir.jobs.lock import folder_lock
+    from robir.jobs.folder import folder_lock
     from robir.pipeline.faults import stop_requested
 
     if Path(options.environment).is_file():

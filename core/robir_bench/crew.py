@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Any
 
 from robir.jobs.client import detached
+from robir.pipeline.device import Usage
 from robir.pipeline.faults import stop_held, stop_requested
-from robir.pipeline.usage import Usage
 from robir.workers import CORES, available_cores
 from robir_bench.plan import BenchRun
 from robir_bench.runs import Scores, last_line, out_of_budget, read_scores, waits_for

@@ -10,7 +10,7 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from robir.evaluation.tone_scores import CODES, grey_radiance, true_curve
+from robir.evaluation.light_scores import CODES, grey_radiance, true_curve
 from robir.maths import tone
 from robir.maths.tone_power import DISPLAY_POWER
 from robir_bench.chart import SVG_STYLE, svg, tidy

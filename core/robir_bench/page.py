@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from robir.evaluation.level_table import level_notes
+from robir.evaluation.levels import level_notes
 from robir.evaluation.scores import ALBEDO
 from robir.export.page import page_template
 from robir.export.report.pictures import inline_lossless

@@ -21,13 +21,13 @@ from robir.capture.store import load_settled
 from robir.evaluation.aligned import truth_of
 from robir.evaluation.layers import load_textures, stored_mesh, view_layers
 from robir.evaluation.metrics import srgb_from_linear
-from robir.evaluation.photos import read_picture
-from robir.evaluation.sheet import (
+from robir.evaluation.photos import (
     MAX_SIDE,
     cut,
     display_codes,
     layer_pictures,
     over_grey,
+    read_picture,
     window,
 )
 from robir.evaluation.surfaces import MeshCaster

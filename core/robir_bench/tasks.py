@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from robir.batch.farm import Job, Place, Step
-from robir.batch.need import memory_needed
+from robir.batch.local import memory_needed
 from robir.batch.plan import Entry, Plan
 from robir_bench.plan import BenchRun
 from robir_bench.runs import Scores, waits_for

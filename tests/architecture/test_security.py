@@ -21,7 +21,6 @@ STARTS_PROGRAMS = {
     "core/robir/export/blender.py",
     "core/robir/geometry/mesh/unwrap.py",
     "core/robir/jobs/client.py",
-    "core/robir/jobs/library.py",
     "robir_addon/capture/foreign_mesh.py",
     "robir_addon/command_line.py",
     "robir_addon/engine/existing.py",

@@ -178,7 +178,7 @@ def loaded_modules(statement: str) -> set[str]:
 @pytest.mark.parametrize(
     "statement",
     [
-        "import robir.jobs.paths, robir.jobs.client, robir.jobs.lock, robir.jobs.context",
+        "import robir.jobs.paths, robir.jobs.client, robir.jobs.folder, robir.jobs.context",
         "import robir.config, robir.presets",
         "import robir.cli\ntry: robir.cli.main(['--help'])\nexcept SystemExit: pass",
     ],

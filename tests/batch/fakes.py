@@ -12,7 +12,7 @@ from robir.cli import _parser
 from robir.config import RunConfig
 from robir.export.asset import REVISION, AssetFacts
 from robir.jobs.paths import STAGES, JobPaths, write_json
-from robir.pipeline.inputs import capture_fingerprint
+from robir.pipeline.ledger import capture_fingerprint
 from robir.settings import table_from_settings, toml_from_settings
 
 ROOT = Path(__file__).parents[2]

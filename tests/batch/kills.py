@@ -25,8 +25,8 @@ from pathlib import Path
 
 from hostile.tiny_run import RENDERS, contents
 
+from robir.jobs.folder import holder
 from robir.jobs.library import LibraryPaths
-from robir.jobs.lock import holder
 from robir.jobs.paths import STAGES
 from robir.specimen import SETTINGS, write_specimen
 

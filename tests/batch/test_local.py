@@ -14,11 +14,11 @@ import pytest
 
 from robir.errors import UsageError
 from robir.jobs.client import snapshot
+from robir.jobs.folder import holder
 from robir.jobs.library import (
     LibraryPaths,
     read_batch,
 )
-from robir.jobs.lock import holder
 from robir.jobs.paths import JobPaths
 from tests.batch.fakes import ROOT, make_captures, run_batch, variables
 

@@ -8,8 +8,7 @@ import re
 
 import pytest
 
-from robir.batch.farm import submit_to_slurm
-from robir.batch.tasks import library_job
+from robir.batch.farm import library_job, submit_to_slurm
 from robir.errors import UsageError
 from robir.jobs.library import LibraryPaths
 from robir.jobs.paths import JobPaths, read_json

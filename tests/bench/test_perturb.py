@@ -13,8 +13,8 @@ from evaluation import sphere_run
 from PIL import Image
 
 from robir.errors import ConfigError
+from robir.evaluation.light_scores import true_curve
 from robir.evaluation.metrics import linear_from_srgb
-from robir.evaluation.tone_scores import true_curve
 from robir.evaluation.truth import load_truth, read_exr
 from robir.maths import tone
 from robir_bench.stability.perturb import Perturbation

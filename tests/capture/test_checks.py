@@ -16,17 +16,16 @@ from PIL import Image
 from scipy import ndimage
 
 from robir.capture.capture import Bounds, Finding, View
-from robir.capture.check import check_capture
-from robir.capture.checks.coverage import check_coverage, upwards
+from robir.capture.checks.coverage import check_coverage, check_sharpness, upwards
 from robir.capture.checks.findings import check_place
-from robir.capture.checks.sharpness import check_sharpness
-from robir.capture.checks.uneven_exposure import (
+from robir.capture.checks.photographs import (
     check_brightness,
     check_settings,
     exposure_offsets,
     sight,
 )
 from robir.capture.config import CaptureConfig
+from robir.capture.recognise import check_capture
 
 
 @pytest.fixture(scope="module")

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from robir.capture.check import check_capture
 from robir.capture.config import CaptureConfig
 from robir.capture.poses import sfm
+from robir.capture.recognise import check_capture
 
 DATA = Path(__file__).parents[3] / "shared" / "data"
 SMALL = CaptureConfig(max_side=96)

@@ -13,10 +13,9 @@ from PIL import Image
 
 from robir.capture import stage
 from robir.capture.capture import Bounds
-from robir.capture.check import check_capture
 from robir.capture.checks.findings import check_place, clipped_share, has_spike
 from robir.capture.config import CaptureConfig
-from robir.capture.recognise import read_capture
+from robir.capture.recognise import check_capture, read_capture
 from robir.capture.store import load_capture, save_capture, view_path
 from robir.errors import CancelledError, CaptureError, ConfigError, StorageError
 from robir.jobs.context import StageContext

@@ -18,8 +18,7 @@ from robir.capture.capture import Bounds, Capture, View
 from robir.capture.store import save_capture
 from robir.evaluation.layers import Layers, view_layers
 from robir.evaluation.metrics import srgb_from_linear
-from robir.export.textures import Textures
-from robir.export.tiles import Part
+from robir.export.textures import Part, Textures
 from robir.geometry.mesh.triangles import Mesh
 from robir.jobs.paths import STAGES, JobPaths, write_json
 

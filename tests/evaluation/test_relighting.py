@@ -8,9 +8,8 @@ import pytest
 from evaluation import sphere_run
 from PIL import Image
 
-from robir.evaluation.evaluate import evaluate
+from robir.evaluation.evaluate import evaluate, relit_picture
 from robir.evaluation.metrics import srgb_from_linear
-from robir.evaluation.relighting import relit_picture
 from robir.evaluation.truth import load_truth
 
 LIGHT = np.array([0.9, 0.5, 0.2])

@@ -3,7 +3,7 @@
 
 import pytest
 
-from robir.evaluation.tone_scores import stops_apart, tone_scores, true_curve
+from robir.evaluation.light_scores import stops_apart, tone_scores, true_curve
 from robir.maths import tone
 
 

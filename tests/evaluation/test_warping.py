@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from transport.shapes import looking_at, mesh_of, patch, photograph
 
-from robir.evaluation.warping import NEAREST, nearness, warped_views
+from robir.evaluation.surfaces import NEAREST, nearness, warped_views
 from robir.geometry.mesh.tracer import EmbreeTracer
 
 OFFSET = 1e-3

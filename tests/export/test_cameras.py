@@ -10,7 +10,7 @@ from evaluation import sphere_run
 from robir.capture.recognise import read_frames
 from robir.capture.store import load_capture
 from robir.evaluation.layers import stored_mesh
-from robir.export.cameras import export_cameras
+from robir.export.exchange import export_cameras
 
 
 @pytest.fixture(scope="module")

@@ -22,7 +22,7 @@ from robir import cli
 from robir.capture.store import load_capture
 from robir.evaluation.light_scores import load_light
 from robir.export import stage
-from robir.export.report.viewer import VIEWER_SCRIPT, embedded_lights, start_orbit
+from robir.export.report.pictures import VIEWER_SCRIPT, embedded_lights, start_orbit
 from robir.jobs.paths import JobPaths, read_json, write_json
 from robir.maths.vectors import equirect_directions
 

@@ -19,9 +19,9 @@ from PIL import Image
 
 from robir.capture.mesh_file import read_mesh
 from robir.evaluation.metrics import srgb_from_linear
-from robir.export import stage, tiles
+from robir.export import stage, textures
+from robir.export.gltf import write_usd
 from robir.export.textures import finished_textures, write_png
-from robir.export.usd import write_usd
 from robir.geometry.given.layout import Layout, own_layout
 from robir.jobs.paths import of_tile, read_json
 
@@ -67,7 +67,7 @@ def test_islands_grow_within_their_tile_only():
     """An island at the border of a tile, and nothing in the one beside it."""
     given = arrays()
     given["inside"][:, SIDE:] = False
-    first, second, _ = tiles.tile_textures(given, TILES, 6, Path("none.png"))
+    first, second, _ = textures.tile_textures(given, TILES, 6, Path("none.png"))
     assert first.albedo_linear == pytest.approx(np.broadcast_to(SHADES[0], (SIDE, SIDE, 3)))
     grown = finished_textures(given, 6).albedo_linear[SIDE:, SIDE : SIDE + 8]
     assert grown == pytest.approx(np.broadcast_to(SHADES[0], grown.shape)), "else nothing is shown"
@@ -147,10 +147,10 @@ def test_the_report_shows_every_tile(exported):
     page = exported.report.read_text(encoding="utf-8")
     assert "3 UDIM tiles of 128&times;128" in page
     assert "albedo, tiles row by row: 1001, 1003, 1011" in page
-    sheet = tiles.shown_texture(exported, "albedo")
+    sheet = textures.shown_texture(exported, "albedo")
     half = len(sheet) // 2
     middles = [sheet[half // 2, half // 2], sheet[half // 2, 3 * half // 2]]
     middles += [sheet[3 * half // 2, half // 2], sheet[3 * half // 2, 3 * half // 2]]
     assert middles[:3] == pytest.approx(CODES, abs=1)
     assert not middles[3].any()
-    assert tiles.shown_texture(exported, "metallic") is None
+    assert textures.shown_texture(exported, "metallic") is None

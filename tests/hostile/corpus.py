@@ -18,7 +18,7 @@ from hostile.mutants import FORMATS, Mutant, corpus, write_wholes
 from hostile.sandbox import Outcome, tried
 
 from robir import cli
-from robir.pipeline.inputs import capture_fingerprint
+from robir.pipeline.ledger import capture_fingerprint
 
 TAKEN, REFUSED = 0, 3
 

@@ -20,10 +20,10 @@ from capture.scene import cameras, shoot
 from evaluation import sphere_run
 from PIL import Image
 
+from robir.batch.local import Standing, write_standings
 from robir.batch.plan import keep_plan, kept_plan, read_plan
-from robir.batch.standing import Standing, write_standings
 from robir.capture.arrays import stored_arrays
-from robir.capture.checks.frame_checks import check_frames
+from robir.capture.checks.findings import check_frames
 from robir.capture.images.decode import exif_values, opened, orientation
 from robir.capture.images.loading import read_mask
 from robir.capture.mesh_file import SUFFIXES, read_mesh
@@ -31,7 +31,7 @@ from robir.capture.poses.sources import take_frames
 from robir.capture.recognise import read_frames
 from robir.capture.store import load_capture
 from robir.errors import RobirError
-from robir.evaluation.light_file import refuse_light
+from robir.evaluation.truth import refuse_light
 from robir.export.gltf import write_glb
 from robir.export.textures import finished_textures, write_exr
 from robir.jobs import client

@@ -20,12 +20,11 @@ from capture import app_writers, writers
 from PIL import Image
 
 from robir import cli
-from robir.capture.check import check_capture
 from robir.capture.config import CaptureConfig
 from robir.capture.images.decode import exif_values, header
-from robir.capture.recognise import read_frames
+from robir.capture.recognise import check_capture, read_frames
 from robir.errors import CaptureError
-from robir.pipeline.inputs import capture_fingerprint
+from robir.pipeline.ledger import capture_fingerprint
 
 POSTSCRIPT = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 48 48\n%%EndComments\nshowpage\n"
 
@@ -347,7 +346,7 @@ def test_nothing_but_robir_runs_a_program_for_check(synthetic, tmp_path):
     program = f"""
 import sys
 from robir import cli
-import robir.capture.check, robir.capture.masks.unmasked, PIL.Image
+import robir.capture.recognise, robir.capture.masks.unmasked, PIL.Image
 PIL.Image.init()
 def hook(event, arguments):
     if event in ("subprocess.Popen", "os.exec", "os.posix_spawn", "os.system", "os.fork"):

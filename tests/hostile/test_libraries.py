@@ -10,8 +10,8 @@ import pytest
 
 from robir import cli
 from robir.jobs import library as jobs
+from robir.jobs.folder import folder_lock, holder
 from robir.jobs.library import LibraryPaths
-from robir.jobs.lock import folder_lock, holder
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from robir.jobs import client
-from robir.jobs.lock import folder_lock, holder
+from robir.jobs.folder import folder_lock, holder
 from robir.jobs.paths import JobPaths
 from robir.pipeline.runner import reconstruct
 from tests.pipeline.fakes import Silent, fake_stages, make_capture, request

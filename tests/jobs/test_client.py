@@ -18,7 +18,7 @@ import pytest
 from robir.config import RunConfig, resolve
 from robir.errors import DeviceError, UsageError
 from robir.jobs import client
-from robir.jobs.lock import folder_lock, holder
+from robir.jobs.folder import folder_lock, holder
 from robir.jobs.paths import JobPaths, read_json, write_json
 from robir.jobs.status import StatusWriter
 from tests.pipeline.fakes import make_capture
@@ -185,7 +185,7 @@ def test_a_look_at_the_lock_never_keeps_a_worker_out(tmp_path):
     path = tmp_path / "lock"
     looker = subprocess.Popen(
         [sys.executable, "-c",
-         "import sys; from pathlib import Path; from robir.jobs.lock import holder\n"
+         "import sys; from pathlib import Path; from robir.jobs.folder import holder\n"
          "while True: holder(Path(sys.argv[1]))", str(path)],
         env=ENVIRONMENT,
     )  # fmt: skip

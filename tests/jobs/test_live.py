@@ -16,7 +16,7 @@ from PIL import Image
 from robir import cli
 from robir.capture.camera import Camera
 from robir.capture.capture import Bounds, Capture, View
-from robir.capture.images.preview import BACKGROUND, save_preview
+from robir.capture.images.loading import PREVIEW_GREY, save_preview
 from robir.geometry.fit.preview import Preview
 from robir.jobs.paths import JobPaths, read_json
 from robir.jobs.status import read_status
@@ -52,7 +52,7 @@ def test_a_preview_is_the_photograph_and_the_rendering_side_by_side(tmp_path):
     with Image.open(tmp_path / "preview.png") as picture:
         pixels = np.array(picture)
     assert pixels.shape == (80, 320, 3)
-    assert (pixels[:, :79] == BACKGROUND).all() and (pixels[:, 241:] == BACKGROUND).all()
+    assert (pixels[:, :79] == PREVIEW_GREY).all() and (pixels[:, 241:] == PREVIEW_GREY).all()
     assert (pixels[:, 81:239] == (200, 100, 50)).all()
 
 

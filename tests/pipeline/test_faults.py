@@ -102,7 +102,7 @@ def test_a_folder_in_use_is_refused_and_a_dead_holder_is_not(tmp_path):
     capture = make_capture(tmp_path / "capture")
     out.mkdir()
     program = (
-        "import sys, time; from pathlib import Path; from robir.jobs.lock import folder_lock\n"
+        "import sys, time; from pathlib import Path; from robir.jobs.folder import folder_lock\n"
         f"with folder_lock(Path({str(out / 'lock')!r})):\n"
         "    print('held', flush=True); time.sleep(60)"
     )

@@ -11,7 +11,7 @@ import pytest
 _FAULTS_OF_LATER_ROUNDS = """
 import resource
 import numpy as np
-from robir.pipeline.memory import keep_freed_memory
+from robir.pipeline.device import keep_freed_memory
 keep_freed_memory()
 def step():
     blocks = [np.ones(1 << 20) for _ in range(5)]

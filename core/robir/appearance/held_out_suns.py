@@ -27,7 +27,7 @@ from robir.appearance.photometry.statistics import Pairs
 from robir.appearance.solution import Solution, solve
 from robir.appearance.tone.choose import ToneChoice
 from robir.appearance.tone.ranking import CODE_ERROR
-from robir.jobs.choice import Choice
+from robir.jobs.context import Choice
 from robir.steps import Pipeline
 
 Reals = NDArray[np.floating[Any]]

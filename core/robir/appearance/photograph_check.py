@@ -24,7 +24,7 @@ from robir.appearance.photometry.statistics import display_mean, linear_observat
 from robir.appearance.texture.texels import TexelAlbedo, Texels, radiance_towards
 from robir.capture.capture import View
 from robir.geometry.mesh.tracer import EmbreeTracer
-from robir.jobs.choice import Choice
+from robir.jobs.context import Choice
 from robir.maths.vectors import farthest_points
 from robir.transport.observe import Observations, observe, spread_views
 

@@ -10,7 +10,7 @@ from robir.appearance.photometry.exposure import Gains
 from robir.appearance.photometry.other_light import LEAST_SPREAD, LEAST_STOPS
 from robir.appearance.tone.choose import ToneChoice
 from robir.appearance.tone.ranking import fits_alike
-from robir.jobs.choice import Choice
+from robir.jobs.context import Choice
 
 GREY, BY_ALL, BY_KNOWN_ALBEDO = (
     "grey as a whole",

@@ -21,7 +21,7 @@ from robir.appearance.light.solver import Light, refit
 from robir.appearance.light.sun_search import polish
 from robir.appearance.material.metal import SOLVED_WITHOUT
 from robir.appearance.material.specular import SpecularMaterial, estimate_specular
-from robir.jobs.choice import Choice
+from robir.jobs.context import Choice
 from robir.steps import Pipeline, Step
 
 # how much more firmly a told level is held than its error asks. In a solve pairs of neighbours

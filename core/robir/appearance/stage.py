@@ -30,8 +30,7 @@ from robir.appearance.tone.choose import SEARCH, ToneChoice, choose_tone_curve
 from robir.appearance.tone.ranking import PLAIN, albedo_apart, fits_alike
 from robir.capture.arrays import PICTURES, stored_arrays
 from robir.capture.capture import Capture
-from robir.capture.images.loading import resize_view
-from robir.capture.images.preview import save_preview
+from robir.capture.images.loading import resize_view, save_preview
 from robir.capture.refusal import describe, warning
 from robir.capture.store import load_settled
 from robir.geometry.mesh.tracer import EmbreeTracer

@@ -2,7 +2,8 @@
 """Hands a job to schedulers that exist: as an Open Job Description bundle, or to Slurm.
 
 A job is steps of `robir` commands, most of them one task a number. What was done before a task
-leaves alone, so whatever a scheduler ends may simply be started again.
+leaves alone, so whatever a scheduler ends may simply be started again. A library is
+one task a capture, or one for each part of its stages.
 """
 
 from __future__ import annotations
@@ -17,86 +18,49 @@ from typing import Any, Literal
 
 from robir.batch.local import worker_environment
 from robir.errors import DeviceError, UsageError
-from robir.jobs.paths import write_json
+from robir.jobs.library import LibraryPaths
+from robir.jobs.paths import STAGES, write_json
 
-MOST_TASKS = 1000
-"""Largest array that Slurm takes by default (MaxArraySize)."""
-
+MOST_TASKS = 1000  # largest array that Slurm takes by default (MaxArraySize)
 _MIB = 1 << 20
 
-_SCRIPT = Path(__file__).with_name("templates") / "slurm.sh"
-"""What Slurm runs; everything particular is in its words and its variable."""
+_SCRIPT = Path(__file__).with_name("templates") / "slurm.sh"  # fixed; all else are words
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Place:
-    """A folder that a farm may have elsewhere.
+    """A folder that a farm may have elsewhere."""
 
-    Attributes:
-        path: Where it is here, absolute.
-        flow: Whether it is only read, or written, too.
-        about: What it is, for people.
-    """
-
-    path: Path
-    flow: Literal["IN", "INOUT"]
-    about: str
+    path: Path  # where it is here, absolute
+    flow: Literal["IN", "INOUT"]  # whether it is only read, or written, too
+    about: str  # what it is, for people
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Step:
-    """One command, for several numbers or once.
+    """One command, for several numbers or once."""
 
-    Attributes:
-        name: Of the step, letters only.
-        words: Of the command after `robir`; a place is spelt {{Param.NAME}}.
-        tasks: Numbers, rising, each of which the command is given as `--task`; empty for one task
-            without.
-        after: Step that has to end before; empty for none.
-        is_paired: Whether each task waits but for the one of its number, and for its good end.
-        memory: Bytes that a task needs.
-        needs_gpu: Whether a task asks for a graphics card.
-        queue: Slurm's partition; empty for the usual one.
-    """
-
-    name: str
-    words: tuple[str, ...]
-    tasks: tuple[int, ...] = ()
-    after: str = ""
-    is_paired: bool = False
-    memory: int = 0
-    needs_gpu: bool = False
-    queue: str = ""
+    name: str  # of the step, letters only
+    words: tuple[str, ...]  # of the command after `robir`; a place is spelt {{Param.NAME}}
+    tasks: tuple[int, ...] = ()  # numbers, rising, given as `--task`; empty for one task without
+    after: str = ""  # step that has to end before; empty for none
+    is_paired: bool = False  # whether a task waits for that of its number alone, and its good end
+    memory: int = 0  # bytes that a task needs
+    needs_gpu: bool = False  # whether a task asks for a graphics card
+    queue: str = ""  # Slurm's partition; empty for the usual one
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Job:
-    """What a farm is to do.
+    """What a farm is to do."""
 
-    Attributes:
-        name: For people.
-        places: By name.
-        steps: Each after those that it waits for.
-    """
-
-    name: str
-    places: Mapping[str, Place]
-    steps: Sequence[Step]
+    name: str  # for people
+    places: Mapping[str, Place]  # by name
+    steps: Sequence[Step]  # each after those that it waits for
 
 
 def write_openjd(job: Job, folder: Path) -> Path:
-    """Write a job bundle.
-
-    Its places are parameters, so that a farm may map them; the values beside it start from the
-    bundle's own folder.
-
-    Args:
-        job: What is to be done.
-        folder: Where the bundle is made.
-
-    Returns:
-        The folder.
-    """
+    """Write a job bundle; its places are parameters, which start from its folder."""
     values = [
         {"name": name, "value": Path(os.path.relpath(place.path, folder.absolute())).as_posix()}
         for name, place in job.places.items()
@@ -142,22 +106,12 @@ def _step(step: Step) -> dict[str, Any]:
 
 
 def submit_to_slurm(job: Job, logs: Path) -> list[str]:
-    """Queue each step as an array of jobs, or as one.
+    """Queue each step as an array of jobs, or as one; their numbers. `logs` gets what they print.
 
     Partition, account, time limit and the like are taken from sbatch's own variables, such as
     SBATCH_PARTITION; see `man sbatch`. submitit is not used: it hands functions over as pickles,
-    which hold code.
-
-    Args:
-        job: What is to be done.
-        logs: Folder of what the tasks print.
-
-    Returns:
-        The jobs' numbers, a step each.
-
-    Raises:
-        UsageError: If there are more tasks than an array may have.
-        DeviceError: If Slurm is not there, or refuses.
+    which hold code. `UsageError` if there are more tasks than an array may have, `DeviceError` if
+    Slurm is not there, or refuses.
     """
     if max(max(step.tasks, default=0) for step in job.steps) >= MOST_TASKS:
         raise UsageError(f"Slurm takes {MOST_TASKS} tasks at a time; split the plan")
@@ -213,3 +167,45 @@ def _sbatch(words: Sequence[str]) -> str:
         said = done.stderr.decode(errors="replace").strip()
         raise DeviceError(f"Slurm takes no batch: {said}; see `man sbatch` for its variables")
     return done.stdout.decode().strip().partition(";")[0]
+
+
+FIT = "geometry"  # the stage that a graphics card shortens most
+_WHOLE = {"Reconstruct": (STAGES[0], STAGES[-1])}
+# first and last stage of each step
+_PARTS = {"Read": ("capture", "capture"), "Fit": (FIT, FIT), "Finish": ("transport", STAGES[-1])}
+
+
+def library_job(
+    paths: LibraryPaths, captures: Path, tasks: Sequence[int], memory: int, queue: str | None
+) -> Job:
+    """The captures that are to be done, by their numbers in the plan, and the page after all.
+
+    `memory` is what the most hungry of them needs, bytes. `queue` is None for all stages in one
+    task. Else the fit is a task of its own that asks for a graphics card, on Slurm in the partition
+    of this name; empty for the usual one.
+    """
+    root = paths.root.absolute()
+    common = ("batch", "--resume", "-o", "{{Param.Library}}", "--captures", "{{Param.Captures}}")
+    steps: list[Step] = []
+    for name, (first, last) in (_WHOLE if queue is None else _PARTS).items():
+        is_fit = queue is not None and first == FIT
+        step = Step(
+            name=name,
+            words=common if queue is None else (*common, "--stages", f"{first}-{last}"),
+            tasks=tuple(tasks),
+            after=steps[-1].name if steps else "",
+            is_paired=True,
+            memory=memory,
+            needs_gpu=is_fit,
+            queue=queue or "" if is_fit else "",
+        )
+        steps.append(step)
+    steps.append(Step(name="Page", words=(*common, "--page"), after=steps[-1].name))
+    return Job(
+        name=f"RobIR {root.name}",
+        places={
+            "Library": Place(root, "INOUT", "Results, assets and the contact sheet"),
+            "Captures": Place(captures, "IN", "Folder that holds all captures"),
+        },
+        steps=steps,
+    )

@@ -3,7 +3,9 @@
 
 A process leads a life of its own: it goes on when the batch is killed, and the next one finds it by
 the lock in its result folder. What a batch knows it reads from result folders, so it has nothing to
-lose.
+lose. How much memory a capture will need is estimated from its photographs and settings: what torch
+and the libraries take, and the largest of cells of the finest distance field, texels and rays, and
+pixels; the factors are rounded up from measured peaks, see docs/batch.md.
 """
 
 from __future__ import annotations
@@ -12,8 +14,9 @@ import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Literal
 
-from robir.batch.standing import Standing, of_snapshot
+from robir.batch.plan import Entry, Plan, parse_size
 from robir.errors import (
     CancelledError,
     CaptureError,
@@ -22,88 +25,134 @@ from robir.errors import (
     RobirError,
     UsageError,
 )
+from robir.export.asset import is_current, possible
 from robir.jobs import client
+from robir.jobs.client import Snapshot
 from robir.jobs.library import LibraryPaths, preferred
+from robir.jobs.paths import STAGES, write_json
 from robir.pipeline.faults import stop_held
+from robir.pipeline.folder import read_config, read_run
 from robir.workers import CORES, available_cores
 
-_PERIOD = 0.5
-"""Seconds between two looks at the result folders of what is at work."""
+State = Literal["waiting", "running", "done", "failed", "dropped"]
 
-_PATIENCE = 15.0
-"""Seconds that a process has to end in good order."""
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Standing:
+    """Where one capture stands."""
+
+    name: str  # of its result folder
+    state: State  # "done" also where the result failed its own quality check
+    fraction: float = 0.0  # share that is done, in [0, 1]
+    message: str = ""  # what is being done, or why it ended
+    exit_code: int | None = None  # None while it runs, or where it was killed
+
+
+def is_done(plan: Plan, entry: Entry, paths: LibraryPaths) -> bool:
+    """Whether the result is whole and what the plan asks for, of the present photographs."""
+    request, job = plan.request(entry, paths), paths.result(entry.name)
+    config = entry.config()
+    try:
+        run = read_run(job)
+        if run is None or run["state"] != "done" or read_config(job) != config:
+            return False
+        from robir.pipeline.ledger import capture_fingerprint  # a second to load
+
+        follows_links = config.capture.outside == "take"
+        capture = capture_fingerprint(request.capture, request.masks, request.out, follows_links)
+    except RobirError:
+        return False
+    return (
+        run["capture"]["fingerprint"] == capture
+        and all(job.manifest(stage).is_file() for stage in STAGES)
+        and is_current(job, possible(plan.facts(entry)))
+    )
+
+
+def of_snapshot(name: str, snapshot: Snapshot) -> Standing:
+    """Where a capture stands by what its result folder says."""
+    if snapshot.state == "none":
+        return Standing(name=name, state="waiting")
+    if snapshot.is_live:
+        stage = f"{snapshot.stage}: " if snapshot.stage else ""
+        message = f"{stage}{snapshot.message}"
+        return Standing(name=name, state="running", fraction=snapshot.fraction, message=message)
+    if snapshot.state == "cancelled" and snapshot.exit_code == 0:  # at the end of its own stages
+        left = {"fraction": snapshot.fraction, "message": snapshot.message}
+        return Standing(name=name, state="waiting", **left)
+    is_whole = snapshot.state == "done"
+    return Standing(
+        name=name,
+        state="done" if is_whole else "failed",
+        fraction=1.0 if is_whole else snapshot.fraction,
+        message=snapshot.message,
+        exit_code=snapshot.exit_code,
+    )
+
+
+def write_standings(
+    paths: LibraryPaths, standings: Sequence[Standing], seconds_left: float | None
+) -> None:
+    """Write the state of the whole batch for who follows it."""
+    rows = [
+        {"name": s.name, "state": s.state, "fraction": round(s.fraction, 4), "message": s.message}
+        for s in standings
+    ]
+    left = None if seconds_left is None else round(seconds_left)
+    whole = {"fraction": round(fraction_of(standings), 4), "seconds_left": left, "captures": rows}
+    write_json(paths.state, whole)
+
+
+def fraction_of(standings: Sequence[Standing]) -> float:
+    """Share of the whole batch that is over, in [0, 1]."""
+    over = ("done", "failed", "dropped")
+    return sum(1.0 if s.state in over else s.fraction for s in standings) / len(standings)
+
+
+_PERIOD = 0.5  # seconds between two looks at the result folders of what is at work
+_PATIENCE = 15.0  # seconds that a process has to end in good order
 _TRIES = 2
 _KILLED = -9
 
+# exit codes that a second try would only repeat: the user's to mend, or wanted by the user
 _FINAL = frozenset(
     kind.exit_code for kind in (UsageError, CaptureError, QualityError, CancelledError)
 )
-"""Exit codes that a second try would only repeat: the user's to mend, or wanted by the user."""
-
-_HUNGRY = frozenset({_KILLED, DeviceError.exit_code})
-"""How a process ends that had too little memory."""
+_HUNGRY = frozenset({_KILLED, DeviceError.exit_code})  # had too little memory
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Limits:
-    """What the machine may be asked for.
+    """What the machine may be asked for."""
 
-    Attributes:
-        jobs: Most captures at a time.
-        memory: Bytes of main memory that all of them together may need.
-        cores: That those at a time share.
-    """
-
-    jobs: int
-    memory: int
-    cores: int = field(default_factory=available_cores)
+    jobs: int  # most captures at a time
+    memory: int  # bytes of main memory that all of them together may need
+    cores: int = field(default_factory=available_cores)  # that those at a time share
 
 
 @dataclass(slots=True, kw_only=True)
 class Item:
-    """A capture that is to be done.
+    """A capture that is to be done."""
 
-    Attributes:
-        request: The reconstruction.
-        need: Bytes of memory it is taken to need.
-        standing: Where it stands.
-        tries: How often it was started.
-    """
-
-    request: client.Request
-    need: int
-    standing: Standing
-    tries: int = 0
+    request: client.Request  # the reconstruction
+    need: int  # bytes of memory it is taken to need
+    standing: Standing  # where it stands
+    tries: int = 0  # how often it was started
 
 
 @dataclass(slots=True)
 class LocalBatch:
-    """A batch at work.
+    """A batch at work."""
 
-    Attributes:
-        paths: The library.
-        items: All captures in the plan's order; those that are done before are marked so.
-        limits: See `Limits`.
-        program: Words before those of a request, such as PYTHON -P -m robir.
-    """
-
-    paths: LibraryPaths
-    items: Sequence[Item]
-    limits: Limits
-    program: Sequence[str]
+    paths: LibraryPaths  # the library
+    items: Sequence[Item]  # in the plan's order; those done before are marked so
+    limits: Limits  # see `Limits`
+    program: Sequence[str]  # words before those of a request, such as PYTHON -P -m robir
     _waiting: list[Item] = field(default_factory=list)
     _running: list[Item] = field(default_factory=list)
 
     def run(self, watch: Callable[[], None]) -> None:
-        """Do what is not done yet; returns when all has ended, well or not.
-
-        Args:
-            watch: Called after each look at what is at work.
-
-        Raises:
-            CancelledError: If it is told to stop; what was at work is ended in good order.
-        """
+        """Do what is not done yet; `watch` follows each look; `CancelledError` if told to stop."""
         for item in self.items:
             is_live = client.snapshot(item.request.out).is_live
             if is_live:  # left by a batch that was killed
@@ -202,13 +251,49 @@ class LocalBatch:
 
 
 def worker_environment(cores: int | None = None) -> dict[str, str]:
-    """Variables of a process: its cores, and one thread for libraries unless the user says other.
-
-    Sums come out otherwise on other numbers of their threads. None leaves it all cores.
-    """
+    """Variables of a process: cores, None for all, and one thread for libraries unless told."""
     share = {} if cores is None else {CORES: str(max(1, cores))}
     return {"OMP_NUM_THREADS": "1", **os.environ, **share}
 
 
 def _failed(name: str, error: RobirError) -> Standing:
     return Standing(name=name, state="failed", message=str(error), exit_code=error.exit_code)
+
+
+_BASE = 700 << 20
+_BYTES_PER_CELL = 145
+_BYTES_PER_TEXEL = 125
+_BYTES_PER_FURTHER_TEXEL = 45
+_FEW_TEXELS = 4096**2
+_BYTES_PER_PIXEL = 8
+_BYTES_PER_RAY = 16
+
+_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".heic", ".dng")
+_FRAMES = 60  # photographs that a video is taken to give
+
+
+def memory_needed(plan: Plan, entry: Entry) -> int:
+    """Bytes of main memory; what the plan says goes before the estimate."""
+    if entry.memory:
+        return parse_size(entry.memory)
+    config = entry.config()
+    cells = max(config.geometry.level_cells) ** 3
+    texels = config.appearance.texture_size**2
+    pixels = _photographs(plan, entry) * config.capture.max_side**2
+    rays = config.transport.num_surfels * config.transport.num_directions
+    further = max(0, texels - _FEW_TEXELS)
+    textures = (texels - further) * _BYTES_PER_TEXEL + further * _BYTES_PER_FURTHER_TEXEL
+    largest = max(cells * _BYTES_PER_CELL, rays * _BYTES_PER_RAY, textures)
+    return _BASE + largest + pixels * _BYTES_PER_PIXEL
+
+
+def _photographs(plan: Plan, entry: Entry) -> int:
+    """Pictures in the capture, masks and truth left out; a video's frames are guessed."""
+    source = plan.captures / entry.path
+    if source.is_file() and source.suffix.lower() not in (".json", ".npz", ".npy"):
+        return _FRAMES
+    count = 0
+    for _, folders, names in os.walk(source if source.is_dir() else source.parent):
+        folders[:] = [name for name in folders if name not in ("truth", "masks")]
+        count += sum(name.lower().endswith(_SUFFIXES) for name in names)
+    return count

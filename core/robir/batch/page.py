@@ -1,19 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The library's contact sheet: what failed first, then what is doubtful, then the rest."""
+"""What a library shows: its contact sheet, and facts and catalogues for Blender's asset browser."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from robir.batch.plan import Entry
-from robir.batch.standing import Standing
+from robir.batch.local import Standing
+from robir.batch.plan import Entry, Plan
+from robir.export.asset import catalogue_id
 from robir.export.page import page_template
 from robir.jobs.library import Format, LibraryPaths
 from robir.jobs.paths import replacing
 from robir.jobs.records import read_record
+from robir.settings import toml_from_settings
 
 _REPORT = {
     "held_out": {"psnr": (None, float)}, "trust": {
@@ -27,29 +29,17 @@ _ORDER = ("failed", "doubtful", "running", "waiting", "dropped", "done")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Row:
-    """What the sheet says of one capture.
+    """What the sheet says of one capture."""
 
-    Attributes:
-        name: Of its result folder.
-        state: As of `Standing`, or "doubtful".
-        word: What is said of it: the result's verdict, else its state.
-        sentences: Why it failed, or the verdict's reason and remedy.
-        facts: "psnr" in dB, "views", "seconds" of the processor, "preset"; empty without a result.
-        tags: Of its asset.
-        report: Its own report from the library's folder; empty without one.
-        picture: Its pictures, likewise.
-        files: The formats that the library offers, each with its file, likewise.
-    """
-
-    name: str
-    state: str
-    word: str = ""
-    sentences: tuple[str, ...] = ()
-    facts: Mapping[str, Any] = field(default_factory=dict)
-    tags: tuple[str, ...] = ()
-    report: str = ""
-    picture: str = ""
-    files: Mapping[str, str] = field(default_factory=dict)
+    name: str  # of its result folder
+    state: str  # as of `Standing`, or "doubtful"
+    word: str = ""  # what is said of it: the result's verdict, else its state
+    sentences: tuple[str, ...] = ()  # why it failed, or the verdict's reason and remedy
+    facts: Mapping[str, Any] = field(default_factory=dict)  # psnr (dB), views, seconds, preset
+    tags: tuple[str, ...] = ()  # of its asset
+    report: str = ""  # its own report from the library's folder; empty without one
+    picture: str = ""  # its pictures, likewise
+    files: Mapping[str, str] = field(default_factory=dict)  # format and file, likewise
 
 
 def row_of(entry: Entry, standing: Standing, paths: LibraryPaths, formats: Sequence[Format]) -> Row:
@@ -100,3 +90,44 @@ def write_page(rows: Sequence[Row], paths: LibraryPaths) -> None:
 
 def _from(file: Path, paths: LibraryPaths) -> str:
     return file.relative_to(paths.root).as_posix()
+
+
+_HEAD = "# Catalogues of Blender's asset browser, which may write this file, too.\n\nVERSION 1\n\n"
+
+
+def write_facts(plan: Plan, paths: LibraryPaths) -> None:
+    """Write what is known of each asset where its process reads it, and the catalogues."""
+    if not plan.options.made:
+        return
+    for entry in plan.entries:
+        _write_if_other(paths, entry.name, toml_from_settings(plan.facts(entry)))
+    if "blend" in plan.options.made:
+        _write_catalogues({entry.catalogue for entry in plan.entries}, paths)
+
+
+def _write_if_other(paths: LibraryPaths, name: str, text: str) -> None:
+    file = paths.facts(name)
+    if not file.is_file() or file.read_bytes() != text.encode():
+        with replacing(file) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+
+
+def _write_catalogues(catalogues: set[str], paths: LibraryPaths) -> None:
+    """Add what is missing; lines that Blender or the user wrote stay."""
+    file = paths.catalogues
+    as_it_is = {"encoding": "utf-8", "errors": "surrogateescape"}  # lines of others may be anything
+    before = file.read_text(**as_it_is) if file.is_file() else _HEAD
+    lines = [
+        f"{catalogue_id(name)}:{name}:{name.replace('/', '-')}\n"
+        for name in sorted(set(_with_parents(catalogues)))
+        if catalogue_id(name) not in before
+    ]
+    if lines:
+        with replacing(file) as temporary:
+            temporary.write_text(before + "".join(lines), **as_it_is)
+
+
+def _with_parents(catalogues: Iterable[str]) -> Iterator[str]:
+    for catalogue in filter(None, catalogues):
+        parts = catalogue.split("/")
+        yield from ("/".join(parts[: n + 1]) for n in range(len(parts)))

@@ -14,14 +14,12 @@ from pathlib import Path
 from robir.errors import UsageError
 from robir.jobs.library import LibraryPaths
 from robir.jobs.names import UnsafeNameError, checked_name, file_in
-from robir.pipeline.inputs import is_capture_file
+from robir.pipeline.ledger import is_capture_file
 
 _WILD = re.compile(r"[*?[]")
+# names that Windows keeps for devices, whatever follows a dot
 _RESERVED = re.compile(r"(?:con|prn|aux|nul|com[0-9]|lpt[0-9])(?:\..*)?", re.IGNORECASE)
-"""Names that Windows keeps for devices, whatever follows a dot."""
-
-_MOST_PLACES = 100_000
-"""Captures that one path with `*` may stand for."""
+_MOST_PLACES = 100_000  # captures that one path with `*` may stand for
 
 
 def absolute(path: str) -> Path:
@@ -30,15 +28,7 @@ def absolute(path: str) -> Path:
 
 
 def places(path: str, where: str) -> list[Path]:
-    """The capture of a path, or all folders that it matches.
-
-    Args:
-        path: May hold `*`, `?` and `[...]` within names; links match by their last name only.
-        where: What names it, for refusals.
-
-    Raises:
-        UsageError: If there is none, or a path cannot be.
-    """
+    """The capture of a path, or all folders that `*`, `?` and `[...]` match; or a UsageError."""
     where = where or "the command line"
     try:
         place = absolute(checked_name(path))
@@ -57,11 +47,7 @@ def places(path: str, where: str) -> list[Path]:
 
 
 def folder_of_masks(path: str, where: str) -> str:
-    """An absolute path of a folder that is there, or "" for none.
-
-    Raises:
-        UsageError: If it is none.
-    """
+    """An absolute path of a folder that is there, or "" for none; else a `UsageError`."""
     if not path:
         return ""
     place = absolute(path)
@@ -71,17 +57,7 @@ def folder_of_masks(path: str, where: str) -> str:
 
 
 def name_of_result(given: str, place: Path, where: str, paths: LibraryPaths) -> str:
-    """The name of a capture's result folder, good on every system.
-
-    Args:
-        given: As the plan has it; "" for the capture's own.
-        place: The capture.
-        where: What names it, for refusals.
-        paths: The library.
-
-    Raises:
-        UsageError: If there can be no folder of that name.
-    """
+    """The name of a result folder, good on every system; "" takes the capture's own."""
     own = place.stem if place.is_file() else place.name
     name = re.sub(r"[^\w.-]+", "_", unicodedata.normalize("NFC", given or own))
     name = name.strip("._") or "capture"

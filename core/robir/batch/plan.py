@@ -32,55 +32,39 @@ _UNITS = {"K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Entry:
-    """One capture of a plan.
+    """One capture of a plan."""
 
-    Attributes:
-        path: The capture; in PLAN.toml from the plan's folder, with `*` for many, in the library
-            from the folder of captures.
-        name: Of its result folder; empty for that of the capture.
-        preset: What it may cost.
-        settings: Items as of `--set`.
-        masks: Folder of masks, as `path`; empty for the capture's own.
-        memory: What it needs, such as "3G"; empty to estimate it.
-        author: As in `AssetFacts`, and so are the next three.
-        licence: Of the asset.
-        tags: Of the asset.
-        catalogue: Of the asset; empty for its first tag, else the folder that holds the capture.
-    """
-
+    # the capture; in PLAN.toml from the plan's folder, with `*` for many, in the library from the
+    # folder of captures
     path: str
-    name: str = ""
-    preset: Literal["draft", "standard", "high"] = "draft"
-    settings: tuple[str, ...] = ()
-    masks: str = ""
-    memory: str = ""
-    author: str = ""
-    licence: str = ""
-    tags: tuple[str, ...] = ()
-    catalogue: str = ""
+    name: str = ""  # of its result folder; empty for that of the capture
+    preset: Literal["draft", "standard", "high"] = "draft"  # what it may cost
+    settings: tuple[str, ...] = ()  # items as of `--set`
+    masks: str = ""  # folder of masks, as `path`; empty for the capture's own
+    memory: str = ""  # what it needs, such as "3G"; empty to estimate it
+    author: str = ""  # as in `AssetFacts`, and so are the next three
+    licence: str = ""  # of the asset
+    tags: tuple[str, ...] = ()  # of the asset
+    catalogue: str = ""  # of the asset; empty for its first tag, else the folder of the capture
+
+    @property
+    def about(self) -> dict[str, Any]:
+        """What is known of its asset."""
+        return {key: getattr(self, key) for key in ("author", "licence", "tags", "catalogue")}
 
     def config(self) -> RunConfig:
-        """The resolved settings.
-
-        Raises:
-            ConfigError: If an item of `settings` is wrong.
-        """
+        """The resolved settings, or a `ConfigError`."""
         return _resolved(self.preset, self.settings)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Options:
-    """What holds for the whole library.
+    """What holds for the whole library."""
 
-    Attributes:
-        device: As of `robir reconstruct`.
-        textures: Of the assets; see `AssetFacts`.
-        formats: What the library offers of each result: "glb", "usd", and "blend", which makes it
-            an asset of Blender's library.
-    """
-
-    device: Literal["auto", "cpu", "cuda"] = "auto"
-    textures: Literal["packed", "relative"] = "packed"
+    device: Literal["auto", "cpu", "cuda"] = "auto"  # as of `robir reconstruct`
+    textures: Literal["packed", "relative"] = "packed"  # of the assets; see `AssetFacts`
+    # what the library offers of each result: "glb", "usd", and "blend", which makes it an asset of
+    # Blender's library
     formats: tuple[Format, ...] = ("glb", "blend")
 
     @property
@@ -91,17 +75,11 @@ class Options:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plan:
-    """What a batch is to do.
+    """What a batch is to do."""
 
-    Attributes:
-        captures: Folder that the entries' paths start from, absolute.
-        entries: One a result, of different names.
-        options: What holds for all.
-    """
-
-    captures: Path
-    entries: tuple[Entry, ...]
-    options: Options = Options()
+    captures: Path  # folder that the entries' paths start from, absolute
+    entries: tuple[Entry, ...]  # one a result, of different names
+    options: Options = Options()  # what holds for all
 
     def request(self, entry: Entry, paths: LibraryPaths) -> Request:
         """The reconstruction of an entry."""
@@ -117,28 +95,17 @@ class Plan:
 
     def facts(self, entry: Entry) -> AssetFacts:
         """What is known of an entry's asset."""
-        return AssetFacts(
-            author=entry.author,
-            licence=entry.licence,
-            tags=entry.tags,
-            catalogue=entry.catalogue,
-            textures=self.options.textures,
-            formats=self.options.made,
-        )
+        options: dict[str, Any] = {"textures": self.options.textures, "formats": self.options.made}
+        return AssetFacts(**entry.about, **options)
 
 
 def read_plan(sources: Sequence[str], changes: Mapping[str, Any], paths: LibraryPaths) -> Plan:
-    """What PLAN.toml says, or the captures that are named.
+    """What PLAN.toml says, or the captures that are named, also with `*`.
 
-    Args:
-        sources: One file that ends in .toml; or captures, also with `*`.
-        changes: Values of `Entry` from the command line: they come before the plan's own, but
-            settings are added to its.
-        paths: The library; it is no capture of its own, and its files' names are no result's.
-
-    Raises:
-        ConfigError: If the plan is wrong; names the line.
-        UsageError: If there is no capture, or two have one name, or the library needs that itself.
+    Changes, values of `Entry` from the command line, come before the plan's own, but settings are
+    added to its. The library is no capture of its own, and its files' names are no result's.
+    `ConfigError` if the plan is wrong; `UsageError` if there is no capture, or two have one name,
+    or the library needs that itself.
     """
     if len(sources) == 1 and sources[0].endswith(".toml"):
         tables, options = _tables(Path(sources[0]))
@@ -156,9 +123,7 @@ def read_plan(sources: Sequence[str], changes: Mapping[str, Any], paths: Library
     files += [Path(entry.masks) for _, entry in found if entry.masks]
     root = Path(os.path.commonpath(files))
     return Plan(
-        captures=root,
-        entries=tuple(_from(root, entry) for _, entry in found),
-        options=options,
+        captures=root, entries=tuple(_from(root, entry) for _, entry in found), options=options
     )
 
 
@@ -171,16 +136,7 @@ def keep_plan(plan: Plan, paths: LibraryPaths) -> None:
 
 
 def kept_plan(paths: LibraryPaths, captures: Path | None) -> Plan:
-    """The plan of a library.
-
-    Args:
-        paths: The library.
-        captures: Where the captures lie, if elsewhere than when the plan was made.
-
-    Raises:
-        UsageError: If it has none.
-        StorageError: If that is damaged.
-    """
+    """The plan of a library, its captures elsewhere if given; UsageError or StorageError."""
     try:
         table = dict(read_json(paths.plan))
         folder, entries = table.pop("captures"), table.pop("entries")
@@ -203,11 +159,7 @@ def kept_plan(paths: LibraryPaths, captures: Path | None) -> Plan:
 
 
 def parse_size(text: str) -> int:
-    """Bytes of a text such as "8G".
-
-    Raises:
-        ConfigError: If it is none.
-    """
+    """Bytes of a text such as "8G", or a `ConfigError`."""
     size = _SIZE.fullmatch(text.strip())
     if size is None:
         raise ConfigError(f"{text!r} is no size; write it as 8G or 900M")
@@ -275,12 +227,7 @@ def _entries(
             entry.config()
             if entry.memory:
                 parse_size(entry.memory)
-            AssetFacts(
-                author=entry.author,
-                licence=entry.licence,
-                tags=entry.tags,
-                catalogue=entry.catalogue,
-            )
+            AssetFacts(**entry.about)
         except ConfigError as error:
             place_of = f"{where}: " if where and not str(error).startswith(where) else ""
             raise ConfigError(f"{place_of}{error}") from error

@@ -12,20 +12,25 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from robir.batch.catalogue import write_facts
-from robir.batch.farm import submit_to_slurm, write_openjd
-from robir.batch.local import Item, Limits, LocalBatch
-from robir.batch.need import memory_needed
-from robir.batch.page import Row, row_of, write_page
+from robir.batch.farm import FIT, library_job, submit_to_slurm, write_openjd
+from robir.batch.local import (
+    Item,
+    Limits,
+    LocalBatch,
+    Standing,
+    fraction_of,
+    is_done,
+    memory_needed,
+    of_snapshot,
+    write_standings,
+)
+from robir.batch.page import Row, row_of, write_facts, write_page
 from robir.batch.plan import Plan, keep_plan, kept_plan, parse_size, read_plan
-from robir.batch.standing import Standing, fraction_of, is_done, of_snapshot, write_standings
-from robir.batch.tasks import FIT, library_job
 from robir.display import display_for
 from robir.errors import CaptureError, QualityError, StorageError, UsageError
 from robir.jobs import client
-from robir.jobs.folder import refuse_special
+from robir.jobs.folder import folder_lock, refuse_special
 from robir.jobs.library import LibraryPaths
-from robir.jobs.lock import folder_lock
 from robir.jobs.paths import STAGES
 from robir.pipeline.device import machine
 from robir.pipeline.faults import stop_requested
@@ -33,25 +38,17 @@ from robir.pipeline.reporter import Display
 from robir.workers import available_cores
 
 _STATE_PERIOD = 2.0
-_PAGE_PERIOD = 20.0
-"""Seconds between two writings of the state and of the page."""
-
-_SPARE = 0.9
-"""Share of the free memory that is used where none is given."""
-
+_PAGE_PERIOD = 20.0  # seconds between two writings of the state and of the page
+_SPARE = 0.9  # share of the free memory that is used where none is given
+# exit codes that a farm need not try again: the page tells of them
 _OF_THE_CAPTURE = frozenset(kind.exit_code for kind in (UsageError, CaptureError, QualityError))
-"""Exit codes that a farm need not try again: the page tells of them."""
 
 
 def batch(options: Namespace, program: Sequence[str] | None = None) -> int:
     """Do what is missing of a library, or hand it to a farm; prints where it is.
 
-    Args:
-        options: As parsed by `robir.cli`.
-        program: Words that start the engine instead of this Python's own.
-
-    Returns:
-        The largest exit code of the captures that failed; 0 if none did.
+    Its options are those of `robir.cli`; `program` starts the engine instead of this Python's own.
+    The largest exit code of the captures that failed; 0 if none did.
     """
     paths = LibraryPaths(options.out)
     program = program or (sys.executable, "-P", "-m", "robir")
@@ -112,18 +109,13 @@ def _items(plan: Plan, paths: LibraryPaths, *only: int) -> list[Item]:
     items = []
     for number in only or range(len(plan.entries)):
         entry = plan.entries[number]
-        is_over = is_done(plan, entry, paths)
-        job = paths.result(entry.name)
-        if is_over:
-            standing = of_snapshot(entry.name, client.snapshot(job.root.absolute()))
-            standing = Standing(
-                name=entry.name, state="done", fraction=1.0, exit_code=standing.exit_code
-            )
+        need, standing = 0, Standing(name=entry.name, state="waiting")
+        if is_done(plan, entry, paths):
+            code = client.snapshot(paths.result(entry.name).root.absolute()).exit_code
+            standing = replace(standing, state="done", fraction=1.0, exit_code=code)
         else:
-            standing = Standing(name=entry.name, state="waiting")
-        need = 0 if is_over else memory_needed(plan, entry)
-        request = plan.request(entry, paths)
-        items.append(Item(request=request, need=need, standing=standing))
+            need = memory_needed(plan, entry)
+        items.append(Item(request=plan.request(entry, paths), need=need, standing=standing))
     return items
 
 
@@ -178,7 +170,6 @@ def _do_all(
 
 
 def _draw(plan: Plan, paths: LibraryPaths) -> int:
-    """Draw the page of what is there."""
     rows = []
     for entry in plan.entries:
         snapshot = client.snapshot(paths.result(entry.name).root.absolute())

@@ -13,21 +13,17 @@ from numpy.lib import format as numpy_format
 from numpy.typing import NDArray
 
 from robir.capture.frames import Array
-from robir.capture.images.regular import regular
 from robir.capture.refusal import DAMAGED_ARRAYS
 from robir.errors import StorageError
+from robir.jobs.names import regular
 
-# largest set of arrays of a result that is read at once; 8192 texels a side take half of it
-MAX_STORED_BYTES = 1 << 32
+MAX_STORED_BYTES = 1 << 32  # of a result that is read at once; 8192 texels a side take half of it
 PICTURES = {...: "u1 + + 3|4"}  # form of pictures by the views' names, for `stored_arrays`
 _HEADERS = {(1, 0): numpy_format.read_array_header_1_0, (2, 0): numpy_format.read_array_header_2_0}
 
 
 def read_matrix(file: IO[bytes], most: int) -> Array:
-    """A two-dimensional array of at most so many plain numbers, as float64.
-
-    The file is at the beginning of what `numpy.save` wrote. ValueError if it is no such array.
-    """
+    """A matrix of at most so many numbers, float64, of what `numpy.save` wrote; else ValueError."""
     shape, is_fortran, dtype = _head(file)
     if dtype.kind not in "fiu" or dtype.itemsize > 8:
         raise ValueError(f"it holds {dtype} instead of numbers")
@@ -44,17 +40,12 @@ def read_matrix(file: IO[bytes], most: int) -> Array:
 
 
 def stored_arrays(path: Path, form: Mapping[Any, str]) -> dict[str, NDArray[Any]]:
-    """Arrays of a file of a result folder, by name, looked at before their numbers are read.
+    """Arrays of a file of `numpy.savez` by name, looked at before their numbers are read.
 
-    Args:
-        path: What `numpy.savez` wrote.
-        form: For each name the kind of its numbers and its sides, as in "f4 V 3|4": a side is a
-            number, one of several, a letter that means the same number above 0 wherever it stands,
-            "*" for any number or "+" for one above 0. A name that ends in "?" may be missing;
-            `...` means all others. What a form does not name is left out.
-
-    Raises:
-        StorageError: If it is missing, damaged, or holds something else.
+    The form has for each name the kind of its numbers and its sides, as in "f4 V 3|4": a side is a
+    number, one of several, a letter that means the same number above 0 wherever it stands, "*" for
+    any number or "+" for one above 0. A name that ends in "?" may be missing; `...` means all
+    others. What a form does not name is left out. `StorageError` if it holds something else.
     """
     try:
         with regular(path, MAX_STORED_BYTES) as file, np.load(file, allow_pickle=False) as archive:
@@ -88,7 +79,6 @@ def _head(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
 
 
 def _wanted(names: Sequence[str], form: Mapping[Any, str]) -> dict[str, str]:
-    """What each array has to be, by name."""
     wanted = dict.fromkeys(names, form[...]) if ... in form else {}
     stated = {key.removesuffix("?"): key for key in form if key is not ...}
     return wanted | {n: form[key] for n, key in stated.items() if n == key or n in names}

@@ -28,8 +28,7 @@ INSIDE = 64  # mask value from which a pixel counts as object; low, so that thin
 _LEVELS = 3
 _AGREEMENT = 0.9
 
-# side of a cell, as a share of its distance from the origin, that numbers still tell apart
-_FINEST = 1e-9
+_FINEST = 1e-9  # side of a cell, as a share of its distance from the origin, that numbers resolve
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,16 +46,11 @@ class Silhouette:
 
     camera: Camera
     distance: NDArray[np.float32]  # (H, W) pixels to the nearest object pixel, 0 on it
-    # whether the object is cut off at the left, right, upper and lower border
-    is_open: tuple[bool, bool, bool, bool]
+    is_open: tuple[bool, bool, bool, bool]  # cut off at the left, right, upper and lower border
 
 
 def sphere_from_masks(views: Sequence[View], start: Bounds | None) -> Hull | None:
-    """Bounding sphere of the visual hull of views whose masks are not empty.
-
-    `start` says where to look first, or None to start from the directions of the masks' centres.
-    None if the masks have nothing in common.
-    """
+    """Bounding sphere of the visual hull of masks, looked for at `start` first; None if empty."""
     masks = [(view.camera, view.mask >= INSIDE) for view in views]
     silhouettes = [silhouette(camera, mask) for camera, mask in masks if mask.any()]
     if len(silhouettes) < 2:
@@ -84,10 +78,7 @@ def sphere_from_masks(views: Sequence[View], start: Bounds | None) -> Hull | Non
 
 
 def sphere_from_points(points: Array, views: Sequence[View]) -> Bounds | None:
-    """Sphere about the central 98 % of the sparse points (N, 3) that lie inside the masks.
-
-    A point counts if nine in ten of the masks that have it in frame contain it; None below 20.
-    """
+    """Sphere about 98 % of the points (N, 3) that nine in ten masks contain; None below 20."""
     inside, seen = np.zeros(len(points)), np.zeros(len(points))
     for view in views:
         pixels, depth = view.camera.project(points)
@@ -105,10 +96,7 @@ def sphere_from_points(points: Array, views: Sequence[View]) -> Bounds | None:
 
 
 def enclosing_sphere(points: Array) -> tuple[Array, float]:
-    """Centre (3,) and radius of the smallest sphere about points (N, 3), to a thousandth; N >= 1.
-
-    Badoiu and Clarkson 2003.
-    """
+    """Centre (3,) and radius of the least sphere about points (N, 3) (Badoiu and Clarkson 2003)."""
     if len(points) > 16:
         # Flat sets have no hull; all their points will do.
         with suppress(QhullError):
@@ -158,10 +146,9 @@ def _first_guess(silhouettes: Sequence[Silhouette]) -> Bounds | None:
 def _coarse(
     silhouettes: Sequence[Silhouette], where: Bounds, limit: Bounds | None, dissent: int
 ) -> tuple[Array, float]:
-    """Kept cells of the coarse grid about the hull: centres (N, 3) and half their side.
+    """Kept cells (N, 3) of the coarse grid about the hull and half their side.
 
-    The cube grows while the hull touches its walls (unless a format promises a sphere), and then
-    shrinks onto the hull once.
+    The cube grows while the hull touches its walls, unless limited, and then shrinks onto the hull.
     """
     centre, reach = where.centre, where.radius
     cells, half = _carved_cube(silhouettes, centre, reach, dissent)
@@ -219,10 +206,7 @@ def kept(
 def _verdict(
     silhouette: Silhouette, points: Array, reach: float
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Whether a view can judge points, and whether it calls all within `reach` background.
-
-    What lies out of frame is background too, unless the mask touches that border.
-    """
+    """Whether a view can judge points, and whether it calls all within `reach` background."""
     camera = silhouette.camera
     pixels, depth = camera.project(points)
     row, column = _indices(camera, pixels)

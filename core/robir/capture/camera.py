@@ -17,8 +17,7 @@ from robir.maths.similarity import Similarity
 
 Array = NDArray[np.float64]
 
-# left, top, right and bottom edge of a part of a picture, whole pixels
-Box = tuple[int, int, int, int]
+Box = tuple[int, int, int, int]  # left, top, right and bottom edge of a part, whole pixels
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,14 +59,8 @@ class Camera:
 
     def rays(self, pixels: Array) -> tuple[Array, Array]:
         """Origins and unit directions (N, 3), world, of rays through image points (N, 2)."""
-        local = np.stack(
-            [
-                (pixels[:, 0] - self.cx) / self.fx,
-                -(pixels[:, 1] - self.cy) / self.fy,
-                -np.ones(len(pixels)),
-            ],
-            axis=1,
-        )
+        x, y = (pixels[:, 0] - self.cx) / self.fx, -(pixels[:, 1] - self.cy) / self.fy
+        local = np.stack([x, y, -np.ones(len(pixels))], axis=1)
         directions = local @ self.camera_to_world[:3, :3].T
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         return np.broadcast_to(self.position, directions.shape).copy(), directions
@@ -78,10 +71,7 @@ class Camera:
         return np.stack([columns.ravel() + 0.5, rows.ravel() + 0.5], axis=1)
 
     def project(self, points: Array) -> tuple[Array, Array]:
-        """Image points (N, 2) of world points (N, 3), and depths (N,) along the viewing direction.
-
-        Points behind the camera have a negative depth and a meaningless image point.
-        """
+        """Image points (N, 2) of points (N, 3), and depths (N,), negative behind the camera."""
         local = (points - self.position) @ self.camera_to_world[:3, :3]
         depth = -local[:, 2]
         safe = np.where(np.abs(depth) < 1e-12, 1e-12, depth)
@@ -100,10 +90,7 @@ class Camera:
         return (depth > 0) & inside.all(axis=1)
 
     def off_axis(self, pixels: Array) -> Array:
-        """Squared distances (N,) of points (N, 2), pixels, from the lens's axis.
-
-        A corner of the whole photograph has 1 where the axis is in its middle; more counts as 1.
-        """
+        """Squared distances (N,) of points (N, 2) from the lens's axis; a corner has 1 at most."""
         away = pixels - [self.cx, self.cy]
         width, height = self.whole_size
         return ((away**2).sum(1) * 4 / (width**2 + height**2)).clip(max=1.0)
@@ -112,14 +99,9 @@ class Camera:
         """The camera of a part of the picture."""
         left, top, right, bottom = box
         a, b, c, d = self.edges
-        return replace(
-            self,
-            width=right - left,
-            height=bottom - top,
-            cx=self.cx - left,
-            cy=self.cy - top,
-            whole=(a - left, b - top, c - left, d - top),
-        )
+        size = {"width": right - left, "height": bottom - top}
+        whole = (a - left, b - top, c - left, d - top)
+        return replace(self, **size, cx=self.cx - left, cy=self.cy - top, whole=whole)
 
     def uncut(self) -> Camera:
         """The camera of the whole photograph at the resolution of this picture."""
@@ -135,14 +117,9 @@ class Camera:
         left, top, _, _ = other.edges
         wide, high = other.whole_size
         sx, sy = wide / self.width, high / self.height
-        return replace(
-            other,
-            fx=self.fx * sx,
-            fy=self.fy * sy,
-            cx=self.cx * sx + left,
-            cy=self.cy * sy + top,
-            camera_to_world=self.camera_to_world,
-        )
+        lens = {"fx": self.fx * sx, "fy": self.fy * sy}
+        lens |= {"cx": self.cx * sx + left, "cy": self.cy * sy + top}
+        return replace(other, **lens, camera_to_world=self.camera_to_world)
 
     def resized(self, width: int, height: int) -> Camera:
         """The same camera with another number of pixels over the same field of view."""
@@ -150,16 +127,8 @@ class Camera:
         whole = self.whole
         if whole is not None:
             whole = (whole[0] * sx, whole[1] * sy, whole[2] * sx, whole[3] * sy)
-        return replace(
-            self,
-            width=width,
-            height=height,
-            fx=self.fx * sx,
-            fy=self.fy * sy,
-            cx=self.cx * sx,
-            cy=self.cy * sy,
-            whole=whole,
-        )
+        lens = {"fx": self.fx * sx, "fy": self.fy * sy, "cx": self.cx * sx, "cy": self.cy * sy}
+        return replace(self, width=width, height=height, **lens, whole=whole)
 
     def normalised(self, centre: Array, radius: float) -> Camera:
         """The camera in the frame where the bounding sphere is the unit sphere at the origin."""

@@ -24,8 +24,7 @@ class View:
     """One photograph with its camera."""
 
     name: str  # unique within the capture, fit for a file name
-    # (H, W, 3) uint8, display-referred, straight (not multiplied by the mask)
-    image_display: NDArray[np.uint8]
+    image_display: NDArray[np.uint8]  # (H, W, 3), display-referred, straight alpha
     mask: NDArray[np.uint8]  # (H, W) uint8, coverage of the object, 255 inside
     camera: Camera  # camera of exactly this image size
     split: Split  # "train" views are fitted, "held_out" views only judge
@@ -55,8 +54,7 @@ class Finding:
     message: str  # what was found, where
     cure: str = ""  # what to do about it
     files: tuple[str, ...] = ()  # file names concerned, at most a dozen
-    # what was measured, plain values for JSON; the check that makes a finding says which
-    numbers: dict[str, Any] = field(default_factory=dict)
+    numbers: dict[str, Any] = field(default_factory=dict)  # measured, as JSON; the check says what
 
     @classmethod
     def from_plain(cls, plain: dict[str, Any]) -> Finding:
@@ -80,8 +78,7 @@ class Capture:
     views: tuple[View, ...]  # photographs in the capture's own frame
     bounds: Bounds  # bounding sphere of the object
     findings: tuple[Finding, ...] = field(default=())  # what the readers and checks noticed
-    # what the object stands on, where masks were guessed and it was found
-    table: Plane | None = None
+    table: Plane | None = None  # what guessed masks found that the object stands on
     is_linear: bool = False  # whether no photograph went through a tone curve but sRGB's
     # file of each view by its name, while it is known; not stored
     photographs: Mapping[str, Path] = field(default_factory=dict)

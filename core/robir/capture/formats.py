@@ -13,7 +13,6 @@ from robir.capture.capture import Finding
 from robir.capture.frames import FrameSet
 from robir.capture.readers import (
     colmap,
-    llff,
     meshroom,
     metashape,
     neus,
@@ -61,11 +60,7 @@ _UNREAD = (
 
 
 def reader_of(source: Path) -> Reader | None:
-    """What reads a folder or a file of poses, or None.
-
-    Of several in a folder the one that says most counts, and what is left is said: first what names
-    masks and splits, then what has lens and points, last LLFF, which has neither.
-    """
+    """What reads a folder or a file of poses, of several the one that says most, or None."""
     if source.is_file():
         return file_reader(source)
     (chosen, reader), *others = list(_readers(source)) or [("", None)]
@@ -111,8 +106,8 @@ def _readers(source: Path) -> Iterator[tuple[str, Reader]]:
     sidecars = reality_scan.find_sidecars(source)
     if sidecars is not None:
         yield f"{sidecars.name}/*.xmp", partial(reality_scan.read_sidecars, sidecars)
-    if (source / llff.NAME).is_file():
-        yield llff.NAME, partial(llff.read, source / llff.NAME)
+    if (source / neus.LLFF).is_file():
+        yield neus.LLFF, partial(neus.read_llff, source / neus.LLFF)
 
 
 def _files(source: Path) -> list[Path]:

@@ -44,8 +44,7 @@ IMAGE_SUFFIXES = (
     *RAW_SUFFIXES,
     *LINEAR_SUFFIXES,
 )
-# turns OpenCV camera axes (y down, looking along +z) into ours; its own inverse
-OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
+OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])  # from y down, along +z; its own inverse
 MAX_NUMBER = 1e12  # matrix entries beyond this come from damaged files, not from cameras
 MIN_FOCAL = 1e-3  # focal lengths below this, in pixels, come from damaged files too
 MAX_ANGLE = 3.14  # widest field of view of a pinhole camera, radians
@@ -57,8 +56,7 @@ class Distortion:
 
     # k1, k2, k3, k4 of the numerator
     radial: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
-    # d1, d2, d3 of the denominator (OpenCV's k4, k5, k6)
-    rational: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    rational: tuple[float, float, float] = (0.0, 0.0, 0.0)  # denominator (OpenCV's k4, k5, k6)
     tangential: tuple[float, float] = (0.0, 0.0)  # p1, p2
     skew: float = 0.0  # s, how far a step down moves along the row
     is_fisheye: bool = False  # whether the radius is the angle to the axis, not its tangent
@@ -107,16 +105,14 @@ class Lens:
 
     width: int | None = None  # declared image width in pixels, or None
     height: int | None = None  # declared image height in pixels, or None
-    # focal length along the row in pixels, or None if only `angle_x` is known
-    fx: float | None = None
+    fx: float | None = None  # along the row, pixels, or None if only `angle_x` is known
     fy: float | None = None  # focal length along the column in pixels, or None for square pixels
     cx: float | None = None  # principal point from the left edge in pixels, or None for the middle
     cy: float | None = None  # principal point from the top edge in pixels, or None for the middle
     angle_x: float | None = None  # horizontal field of view in radians, used where fx is None
     angle_y: float | None = None  # vertical field of view in radians, used where fx and fy are None
     distortion: Distortion = field(default_factory=Distortion)  # lens distortion
-    # whether the format lets photographs be smaller or larger than declared
-    is_scalable: bool = False
+    is_scalable: bool = False  # whether photographs may be smaller or larger than declared
 
     @property
     def is_sane(self) -> bool:
@@ -133,10 +129,10 @@ class Lens:
             return None
         return self.width, self.height
 
-    def camera(self, camera_to_world: Array, width: int, height: int) -> Camera:
+    def camera(self, pose: Array, width: int, height: int) -> Camera:
         """The pinhole camera of an image of this size, distortion aside."""
         if self.size is not None and self.size != (width, height):
-            return self.camera(camera_to_world, *self.size).resized(width, height)
+            return self.camera(pose, *self.size).resized(width, height)
         fx, fy = self.fx, self.fy
         if fx is None:
             if self.angle_x is None:
@@ -144,15 +140,10 @@ class Lens:
             fx = 0.5 * width / np.tan(0.5 * self.angle_x)
             if fy is None and self.angle_y is not None:
                 fy = 0.5 * height / np.tan(0.5 * self.angle_y)
-        return Camera(
-            width=width,
-            height=height,
-            fx=float(fx),
-            fy=float(fx if fy is None else fy),
-            cx=0.5 * width if self.cx is None else self.cx,
-            cy=0.5 * height if self.cy is None else self.cy,
-            camera_to_world=camera_to_world,
-        )
+        fx, fy = float(fx), float(fx if fy is None else fy)
+        cx = 0.5 * width if self.cx is None else self.cx
+        cy = 0.5 * height if self.cy is None else self.cy
+        return Camera(width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy, camera_to_world=pose)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -165,11 +156,8 @@ class Frame:
     mask: Path | None = None  # mask the format names itself, or None
     lens: Lens  # intrinsics as stated
     camera_to_world: Array  # 4x4, OpenGL axes, as stated; not yet checked
-    # "test" if the format holds the view out, else "train"
-    split: Literal["train", "test"] = "train"
-    # whether the pose is for the photograph as its EXIF orientation turns it; None where only its
-    # size can tell
-    is_upright: bool | None = None
+    split: Literal["train", "test"] = "train"  # "test" if the format holds it out
+    is_upright: bool | None = None  # pose is for what EXIF turns; None where only sizes tell
     is_mask_upright: bool | None = None  # the same of the mask
 
 
@@ -180,8 +168,7 @@ class FrameSet:
     root: Path  # folder that holds the capture
     format: str  # name of the format, for example "colmap"
     frames: tuple[Frame, ...]  # posed photographs
-    # the same frames with their poses in the other plausible order, or none
-    other_order: tuple[Frame, ...] = ()
+    other_order: tuple[Frame, ...] = ()  # with their poses in the other plausible order
     sphere: Bounds | None = None  # where the format says the object is, or None
     # (N, 3) sparse surface points, capture frame; empty if the format has none
     points: Array = field(default_factory=lambda: np.zeros((0, 3)))
@@ -204,10 +191,7 @@ def checked_lens(lens: Lens, path: Path, whose: str) -> Lens:
 
 
 def pose_fault(pose: Array) -> str | None:
-    """What is wrong with a camera-to-world matrix, in words, or None.
-
-    A common scale of the three axes is allowed, as Blender writes it for scaled cameras.
-    """
+    """What is wrong with a camera-to-world matrix, in words, or None; a common scale is allowed."""
     if not np.isfinite(pose).all() or np.abs(pose).max() > MAX_NUMBER:
         return "holds NaN, infinite or absurdly large numbers"
     axes = pose[:3, :3]

@@ -43,18 +43,14 @@ class Part:
     vertices: NDArray[np.float64]  # (N, 3) float64
     faces: NDArray[np.int64]  # (F, 3) int64
     uvs: NDArray[np.float64] | None = None  # (N, 2) float64, v upwards; None where there are none
-    # (N, 3) float64, as the file has them; None where it has none
-    normals: NDArray[np.float64] | None = None
+    normals: NDArray[np.float64] | None = None  # (N, 3) as in the file, if any
     material: int = -1  # its number; -1 for none
 
 
 def read_parts(
     document: dict[str, Any], binary: bytes, files: Mapping[str, bytes]
 ) -> list[tuple[NDArray[np.float64], Part]]:
-    """All triangles that the file's scene shows, each part with its (4, 4) place.
-
-    `files` holds the contents of files beside it by the names that it uses.
-    """
+    """All triangles that the scene shows, each part with its (4, 4) place, by files by name."""
     reader = _Reader(document, binary, files)
     shown = list(_shown(document))
     meshes = document.get("meshes", [])
@@ -284,11 +280,7 @@ def normal_images(document: Document) -> list[Document]:
 def normal_maps(
     document: Document, binary: bytes, parts: Mapping[str, bytes]
 ) -> tuple[tuple[Codes, ...], dict[int, int]]:
-    """The maps themselves, (H, W, 3) each, green towards larger v, their strength applied.
-
-    No two are of the same texture and strength. Also which of them each material has, by its
-    number; materials without one are missing. `binary` and `parts` are as for `read_parts`.
-    """
+    """The maps (H, W, 3), green towards larger v, and by number which of them a material has."""
     distinct, of_material = _named(document)
     maps, pixels = [], 0
     for named in distinct:
@@ -347,7 +339,6 @@ def _named(document: Document) -> tuple[list[Document], dict[int, int]]:
 
 
 def _image(document: Document, named: Document) -> Document:
-    """Entry of the image that a material's normal texture shows."""
     texture = entry(document.get("textures", []), named.get("index"), "it", "texture")
     webp = texture.get("extensions", {}).get("EXT_texture_webp", {})
     source = texture.get("source", webp.get("source"))

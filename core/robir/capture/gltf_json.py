@@ -40,9 +40,8 @@ _FORM = {
     "textures?": [{}], "images?": [{"uri?": str, "bufferView?": int}],
 }  # fmt: skip
 _HARMLESS = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "MSFT_texture_", "KHR_lights_")
+# beginnings of the names of extensions that change no triangle, or that are read
 _HARMLESS += ("KHR_mesh_quantization", "KHR_xmp", "EXT_lights_")
-"""Beginnings of the names of extensions that change no triangle, or that are read."""
-
 COMPRESSED = {
     "KHR_draco_mesh_compression": "compressed with Draco",
     "EXT_meshopt_compression": "compressed with meshopt",
@@ -55,11 +54,7 @@ class MeshFaultError(ValueError):
 
 
 def opened(content: bytes, *, is_binary: bool) -> tuple[dict[str, Any], bytes]:
-    """The JSON of a glTF file, of the form that is read, and the binary chunk of a GLB.
-
-    Raises:
-        MeshFaultError: If it is none.
-    """
+    """The JSON of a glTF file and the binary chunk of a GLB, or a `MeshFaultError`."""
     text, binary = _chunks(content) if is_binary else (content, b"")
     if len(text) > _JSON_BYTES or sum(text.count(sign) for sign in b"{[,") > _MOST_TOKENS:
         raise MeshFaultError(f"its JSON has {len(text)} bytes and too many entries")

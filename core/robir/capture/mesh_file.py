@@ -28,17 +28,14 @@ from robir.capture.gltf_file import (
     read_parts,
 )
 from robir.capture.gltf_json import MeshFaultError, opened
-from robir.capture.images.regular import regular
 from robir.errors import CaptureError
-from robir.jobs.names import UnsafeNameError, checked_name, leads_out
+from robir.jobs.names import UnsafeNameError, checked_name, leads_out, regular
 
 SUFFIXES = (".glb", ".gltf", ".obj", ".off", ".ply", ".stl")  # kinds of files that are read here
-# kinds of files that only Blender reads; the add-on makes a GLB of them
-FOREIGN = (".fbx", ".usd", ".usda", ".usdc", ".usdz", ".abc")
+FOREIGN = (".fbx", ".usd", ".usda", ".usdc", ".usdz", ".abc")  # read by Blender only
 MAX_BYTES = 1 << 29  # largest file; five million triangles have a half of it
 _MAX_TEXT_BYTES = 1 << 28  # largest file of words; it takes several times its size to read
-# normal maps, and which of them each material has; see `normal_maps`
-_Maps = tuple[tuple[NDArray[np.uint8], ...], dict[int, int]]
+_Maps = tuple[tuple[NDArray[np.uint8], ...], dict[int, int]]  # normal maps, and whose they are
 _NO_MAPS: _Maps = ((), {})
 
 # end of the name of a material that stands for a UDIM tile; "Material.001" is none
@@ -54,8 +51,7 @@ _OFF_COUNTS = re.compile(rb"\AOFF\s+(?:#[^\n]*\n\s*)*(\d+)\s+(\d+)")
 class Detail:
     """Normal maps of tangent space, over a mesh's own normals and texture coordinates."""
 
-    # (H, W, 3) codes each, row 0 at v = 1, green towards larger v; they repeat outside 0..1
-    maps: tuple[NDArray[np.uint8], ...]
+    maps: tuple[NDArray[np.uint8], ...]  # (H, W, 3) codes, green towards larger v, repeating
     of_face: NDArray[np.int32]  # (Nf,) int32, which map a face has; -1 for none
 
 
@@ -63,12 +59,10 @@ class Detail:
 class Given:
     """Triangles as a file has them."""
 
-    # (Nv, 3) float64, the capture's frame and unit or, placed, the unit frame
-    vertices: NDArray[np.float64]
+    vertices: NDArray[np.float64]  # (Nv, 3), the capture's frame or, placed, the unit frame
     faces: NDArray[np.int32]  # (Nf, 3) int32, in the file's order
     uvs: NDArray[np.float64]  # (Nv, 2) float64, v upwards; NaN for vertices without any
-    # (Nv, 3) float64, unit; None where there is no normal map
-    normals: NDArray[np.float64] | None = None
+    normals: NDArray[np.float64] | None = None  # (Nv, 3) unit, with a normal map
     detail: Detail | None = None  # normal maps over these normals; None if the file has none
     notes: tuple[str, ...] = ()  # sentences for the user
 
@@ -245,11 +239,7 @@ def _turned_normals(piece: Part, matrix: NDArray[np.float64]) -> NDArray[np.floa
 def _named_tiles(
     document: dict[str, Any], pieces: list[tuple[NDArray[np.float64], Part]]
 ) -> dict[int, tuple[int, int]]:
-    """Where the UDIM tile begins that each material of a glTF file stands for, by its number.
-
-    glTF has no such tiles: Blender and we write a material for each, its name ending in the tile's
-    number, and move texture coordinates to 0..1. Empty unless all materials are of that kind.
-    """
+    """Where the UDIM tile of each material of a glTF begins, by its name; empty unless all are."""
     names = document.get("materials", ())
     corners_of: dict[int, tuple[int, int]] = {}
     for _, piece in pieces if names else ():

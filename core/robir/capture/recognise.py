@@ -1,32 +1,40 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which format a capture has, recognised by its files' content; the one door to every reader."""
+"""Which format a capture has, recognised by its files' content; the one door to every reader.
+
+Of a capture that is refused for want of masks the cameras can be shown all the same: the user may
+place a box about the object, and for that must see them.
+"""
 
 from __future__ import annotations
 
 import os
 import shutil
+import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
+import numpy as np
+
+from robir.capture.camera import Camera
 from robir.capture.capture import Capture, Finding, Split
-from robir.capture.checks.coverage import check_coverage
+from robir.capture.checks.coverage import check_coverage, check_sharpness
 from robir.capture.checks.findings import (
+    check_count,
+    check_frames,
     check_masks,
     check_photographs,
     check_place,
     place_object,
 )
-from robir.capture.checks.frame_checks import check_count, check_frames
-from robir.capture.checks.sharpness import check_sharpness
-from robir.capture.checks.turns import prepared
-from robir.capture.checks.uneven_exposure import check_brightness, check_settings
+from robir.capture.checks.photographs import check_brightness, check_settings, prepared
 from robir.capture.config import CaptureConfig
 from robir.capture.formats import KNOWN, reader_of, unread_poses
-from robir.capture.frames import Frame, FrameSet, PosedRefusedError
-from robir.capture.images.decode import may_hold_alpha
+from robir.capture.frames import Frame, FrameSet, PosedRefusedError, rigid
+from robir.capture.images.decode import may_hold_alpha, opened, orientation, upright
 from robir.capture.masks import given as mask_files
+from robir.capture.masks.region import focus
 from robir.capture.poses import sfm
 from robir.capture.poses.register import register
 from robir.capture.poses.sources import find_photographs, is_video, take_frames
@@ -34,6 +42,7 @@ from robir.capture.readers import phones
 from robir.capture.readers.files import children
 from robir.capture.readers.transforms import SYNTHETIC
 from robir.capture.refusal import CaptureRefusedError, note, refuse, some
+from robir.capture.store import plain_camera
 from robir.capture.views import Loaded, Progress, load_views, splits, unheard, without_left_out
 from robir.jobs.names import UnsafeNameError, checked_name, leads_out
 
@@ -55,10 +64,7 @@ class Workshop:
 
 
 def read_frames(source: Path, outside: Literal["refuse", "take"] = "refuse") -> FrameSet:
-    """Recognise a capture, a folder or a file of poses, and read everything but the photographs.
-
-    `outside` is the setting of the stage.
-    """
+    """Recognise a folder or file of poses, and read all but the photographs."""
     if is_video(source):
         raise _no_poses(f"{source} is a video")
     if not source.is_dir() and not source.is_file():
@@ -107,7 +113,6 @@ def _refuse_outside(paths: Sequence[Path], homes: Sequence[Path]) -> None:
 
 
 def _folders(source: Path) -> list[Path]:
-    """Folders in which a capture may lie instead."""
     return [child for child in children(source) if child.is_dir()][:_MOST]
 
 
@@ -154,18 +159,11 @@ def read_capture(
 ) -> Capture:
     """Views in the capture's own frame, the object's bounds, and findings without errors.
 
-    Args:
-        source: Folder of the capture, or its file of poses; never written to.
-        masks: Folder of masks that win over the capture's own, or None.
-        config: Settings of the stage.
-        progress: Told how far reading is.
-        workshop: Where missing poses are worked out; None refuses captures without poses.
-        guesses: Folder for the masks where these are guessed, or None to keep no files of them.
-        mesh: Mesh of the object that the user hands in: cuts it out where nothing else can.
-
-    Raises:
-        CaptureError: If the capture cannot be reconstructed; a `CaptureRefusedError` whose findings
-            hold everything that was noticed until then, a `PosedRefusedError` if poses are sound.
+    `source` is never written to. `masks` is a folder that wins over the capture's own. In
+    `workshop` missing poses are worked out; None refuses captures without. `guesses` is where
+    guessed masks are kept, or None. `mesh` is the user's: it cuts the object out where nothing else
+    can. A `CaptureRefusedError` holds everything that was noticed until then; it is a
+    `PosedRefusedError` if poses are sound.
     """
     if workshop is not None and sfm.is_available() and _lacks_poses(source):
         photographs = find_photographs(source) if source.is_dir() else []
@@ -243,16 +241,11 @@ def _read_posed(
     for check in _CHECKS:
         findings += check(views, bounds)
     progress(1.0, "capture read")
-    return Capture(
-        source=source,
-        format=frames.format,
-        views=views,
-        bounds=bounds,
-        findings=tuple(findings),
-        table=loaded.table,
-        is_linear=loaded.is_linear,
-        photographs={frame.name: frame.image for frame in frames.frames},
-    )
+    facts: dict[str, Any] = {"source": source, "format": frames.format}
+    facts["findings"] = tuple(findings)
+    facts |= {"table": loaded.table, "is_linear": loaded.is_linear}
+    facts["photographs"] = {frame.name: frame.image for frame in frames.frames}
+    return Capture(views=views, bounds=bounds, **facts)
 
 
 def _load_masked(
@@ -306,3 +299,68 @@ def _check_mask_supply(loaded: Loaded) -> list[Finding]:
 def _stop_on_errors(findings: list[Finding]) -> None:
     if any(finding.level == "error" for finding in findings):
         raise CaptureRefusedError(findings)
+
+
+_MAX_POINTS = 4000  # sparse points that are shown at most
+_REACH = 0.25  # radius about the cameras' focus, against their distance, where an object is likely
+
+
+def check_capture(
+    source: Path, masks: Path | None, config: CaptureConfig, progress: Progress = unheard
+) -> tuple[Capture | None, tuple[Finding, ...], FrameSet | None]:
+    """The capture, or None if there are errors; findings, errors first; refused, posed frames."""
+    try:
+        with tempfile.TemporaryDirectory(prefix="robir-") as folder:
+            workshop = Workshop(folder=Path(folder), seed=0)
+            capture = read_capture(source, masks, config, progress, workshop)
+    except CaptureRefusedError as refusal:
+        posed = refusal.frames if isinstance(refusal, PosedRefusedError) else None
+        return None, _sorted(refusal.findings), posed
+    return capture, _sorted(capture.findings), None
+
+
+def _sorted(findings: tuple[Finding, ...]) -> tuple[Finding, ...]:
+    order = ("error", "warning", "note")
+    return tuple(sorted(findings, key=lambda finding: order.index(finding.level)))
+
+
+def stands_of(frames: FrameSet) -> dict[str, Any] | None:
+    """Where the photographs of a refused capture were taken, as plain values for JSON, or None.
+
+    "cameras" are like those of an accepted capture, each with its "image"; "centre" and "radius"
+    say where they look; "points" are sparse, (N, 3).
+    """
+    posed = [
+        (frame, camera) for frame in frames.frames if (camera := _camera_of(frame)) is not None
+    ]
+    if not posed:
+        return None
+    cameras = [camera for _, camera in posed]
+    places = np.stack([camera.position for camera in cameras])
+    away = float(np.linalg.norm(places - places.mean(0), axis=1).max())
+    centre, radius = places.mean(0), max(away, 1e-6)
+    if frames.sphere is not None:
+        centre, radius = frames.sphere.centre, float(frames.sphere.radius)
+    elif (aim := focus(cameras)) is not None:
+        centre, radius = aim[0], _REACH * aim[1]
+    step = -(-len(frames.points) // _MAX_POINTS) or 1
+    return {
+        "cameras": [
+            {"name": frame.name, "split": "train", "image": str(frame.image.resolve())}
+            | plain_camera(camera)
+            for frame, camera in posed
+        ],
+        "centre": np.asarray(centre, float).tolist(),
+        "radius": radius,
+        "points": frames.points[::step].tolist(),
+    }
+
+
+def _camera_of(frame: Frame) -> Camera | None:
+    """The camera of a photograph, or None where that cannot be read."""
+    try:
+        with opened(frame.image) as picture:
+            shown = upright(picture, orientation(picture)) if frame.is_upright else picture
+            return frame.lens.camera(rigid(frame.camera_to_world), *shown.size)
+    except CaptureRefusedError:
+        return None

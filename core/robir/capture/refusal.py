@@ -24,11 +24,7 @@ DAMAGED_ARRAYS = (
 
 
 class CaptureRefusedError(CaptureError):
-    """The capture cannot be reconstructed; the findings say why and what to do.
-
-    Attributes:
-        findings: All findings so far, notes and warnings included.
-    """
+    """The capture cannot be reconstructed; its `findings` say why and what to do."""
 
     def __init__(self, findings: Iterable[Finding]) -> None:
         """Make the message from the errors among the findings."""

@@ -17,11 +17,7 @@ REVISION = 7  # raised by hand when the results of this stage change
 
 
 def run(context: StageContext[CaptureConfig]) -> dict[str, Any]:
-    """Read, check and store the capture; nothing is stored if it cannot be reconstructed.
-
-    Metrics: format, views and held_out (counts), mask_share and clipped_share (in [0, 1]),
-    bounds_radius (capture unit).
-    """
+    """Read, check and store the capture; nothing is stored if it cannot be reconstructed."""
     capture = read_capture(
         context.source,
         context.masks,
@@ -39,11 +35,7 @@ def run(context: StageContext[CaptureConfig]) -> dict[str, Any]:
             context.reporter.warn(describe(finding))
     save_capture(context.paths.stage("capture"), capture)
     context.reporter.progress(1.0, "capture stored")
-    return {
-        "format": capture.format,
-        "views": len(capture.train),
-        "held_out": len(capture.held_out),
-        "mask_share": mask_share(capture.views),
-        "clipped_share": clipped_share(capture.views),
-        "bounds_radius": capture.bounds.radius,
-    }
+    counts = {"views": len(capture.train), "held_out": len(capture.held_out)}
+    shares = {"mask_share": mask_share, "clipped_share": clipped_share}
+    found = {name: share(capture.views) for name, share in shares.items()}
+    return {"format": capture.format} | counts | found | {"bounds_radius": capture.bounds.radius}

@@ -109,16 +109,12 @@ def _bounds(plain: dict[str, Any]) -> Bounds:
 
 
 def save_frame(paths: JobPaths, frame: Similarity, bounds: Bounds) -> None:
-    """Write where later stages shall have the stored capture, and its bounds there.
-
-    `frame` brings the frame of the stored capture to theirs, and does not mirror.
-    """
+    """Write where later stages have the capture: a similarity from the stored one, and bounds."""
     plain = {"turn": frame.turn.tolist(), "scale": frame.scale, "shift": frame.shift.tolist()}
     write_json(paths.frame, plain | {"bounds": _plain_bounds(bounds)})
 
 
 def _load_frame(paths: JobPaths) -> tuple[Similarity, Bounds] | None:
-    """What `save_frame` wrote, if anything."""
     if not paths.frame.exists():
         return None
     with _reading(paths.frame, "geometry"):
@@ -147,10 +143,7 @@ def save_masks(paths: JobPaths, views: Iterable[View]) -> None:
 
 
 def load_settled(paths: JobPaths) -> Capture:
-    """The stored capture with what the geometry stage found better: masks that are cut.
-
-    It is in its own frame, or in the one that the geometry stage brought it to.
-    """
+    """The stored capture, in the frame and with the masks that the geometry stage found better."""
     capture = load_capture(paths.stage("capture"))
     if paths.cut_masks.exists():
         masks = side_by_side(lambda view: _cut_mask(paths, view), capture.views)
@@ -162,7 +155,6 @@ def load_settled(paths: JobPaths) -> Capture:
 
 
 def _cut_mask(paths: JobPaths, view: View) -> NDArray[np.uint8]:
-    """Mask of a view from the geometry stage."""
     path = file_in(paths.cut_masks, f"{view.name}.png")
     with _reading(path, "geometry"), Image.open(path, formats=["PNG"]) as picture:
         if picture.mode != "L" or picture.size != (view.camera.width, view.camera.height):

@@ -14,8 +14,7 @@ from robir.maths.similarity import Similarity
 
 Array = NDArray[np.float64]
 
-# distance from the plane at which a point still lies on it, against the cameras' distance
-TOLERANCE = 0.008
+TOLERANCE = 0.008  # distance from the plane of points on it, against the cameras' distance
 PATCH = 0.05  # side of the patches by which points are counted, against the cameras' distance
 TRIPLES = 1500  # planes tried
 LEAST_PATCHES = 12  # patches a support plane must hold points in
@@ -57,9 +56,9 @@ def across(normal: Array) -> Array:
 
 
 def support_plane(points: Array, cameras: Sequence[Camera], distance: float) -> Plane | None:
-    """The plane with most points (N, 3) on it and next to none below it (Fischler and Bolles 1981).
+    """The plane with most points (N, 3) on it and next to none below, all but few cameras above.
 
-    All but few cameras are above it, at about that distance; None where the points show none.
+    By random triples (Fischler and Bolles 1981); None where the points show none.
     """
     if len(points) < 2 * LEAST_PATCHES:
         return None

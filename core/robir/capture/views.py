@@ -23,16 +23,14 @@ from robir.capture.refusal import CaptureRefusedError, grouped, note, refuse, so
 from robir.capture.support import Plane
 from robir.workers import blocks, side_by_side
 
-# a photograph of so many pixels is decoded in a second, whatever the others have
-HARMLESS_PIXELS = 16_000_000
+HARMLESS_PIXELS = 16_000_000  # decoded in a second, whatever the others have
 MAX_RATIO = 16  # times the pixels of a capture's usual photograph that one may have
 Array = NDArray[np.float64]
 
 _TOGETHER = 8  # photographs between two reports of progress
 _AT_ONCE = 4  # of these, read at a time: each takes ten times its pixels' bytes and more
 
-# told the share of the work done, in [0, 1], and what is being done
-Progress = Callable[[float, str], None]
+Progress = Callable[[float, str], None]  # told the share of the work done, in [0, 1], and what
 
 
 def unheard(fraction: float, message: str) -> None:
@@ -47,17 +45,12 @@ class Loaded:
     views: tuple[View, ...]  # in the order of the frames; a view without a mask has a full one
     maskless: tuple[str, ...]  # names of the views without a mask
     findings: tuple[Finding, ...]  # one error a photograph that could not be read, and notes
-    # what the object stands on, where masks were guessed and it was found
-    table: Plane | None = None
+    table: Plane | None = None  # what guessed masks found that the object stands on
     is_linear: bool = False  # whether no photograph went through a tone curve but sRGB's
 
 
 def without_left_out(frames: FrameSet, config: CaptureConfig) -> FrameSet:
-    """The photographs to work with, and findings about those left out.
-
-    `leave_out` of the settings names them as findings do, by path or by view; `missing` says
-    whether photographs without a file go too.
-    """
+    """The photographs to work with, without those of `leave_out` and missing ones, and findings."""
     unwanted = set(config.leave_out)
     chosen = [frame for frame in frames.frames if unwanted & {frame.name, frame.relative}]
     known = {name for frame in chosen for name in (frame.name, frame.relative)}
@@ -81,11 +74,11 @@ def without_left_out(frames: FrameSet, config: CaptureConfig) -> FrameSet:
 
 
 def splits(frames: Sequence[Frame], config: CaptureConfig) -> list[tuple[Frame, Split]]:
-    """Which frames are read, in the order given, and which of them only judge.
+    """Which frames are read, and which only judge.
 
     Test views of the format are thinned evenly to `max_held_out`; without any, every
     `held_out_every`-th view is held out, at least one of four. With a `held_out_sector` all
-    training views in that sector are left out of the training instead, and judge alone.
+    training views in that sector judge instead.
     """
     tests = [i for i, frame in enumerate(frames) if frame.split == "test"]
     trains = [i for i, frame in enumerate(frames) if frame.split == "train"]
@@ -107,11 +100,9 @@ def splits(frames: Sequence[Frame], config: CaptureConfig) -> list[tuple[Frame, 
 
 
 def _in_sector(poses: Sequence[Array], width: float) -> NDArray[np.bool_]:
-    """Which cameras (4, 4) stand in a sector of some degrees about the object, seen from above.
+    """Which cameras (4, 4) stand in the sector about the middle one, seen from above.
 
-    The sector is the one of its width that holds the camera in the middle of the sequence in its
-    own middle. Above is where cameras' upper sides point on average; the object is where their
-    optical axes meet (least squares).
+    The object is where optical axes meet (least squares), above where cameras' upper sides point.
     """
     matrices = np.asarray(poses, np.float64)
     centres, axes = matrices[:, :3, 3], -matrices[:, :3, 2]
@@ -138,10 +129,9 @@ def load_views(
     max_side: int,
     progress: Progress,
 ) -> Loaded:
-    """Read photographs, a few at a time: undistorted, cut to the object and reduced.
+    """Read photographs, undistorted, cut to the object and reduced to `max_side` pixels.
 
-    Poses of the frames are without fault. `masks`, or their files, by frame name win over the
-    format's own and over alpha; `max_side` is what is kept of what shows the object, pixels.
+    `masks`, or their files, by frame name win over the format's own and over alpha.
     """
     readings, findings = [], []
     most = _most_pixels(chosen)

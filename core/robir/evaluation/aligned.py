@@ -29,28 +29,20 @@ from robir.maths.similarity import Similarity, turn_in_words
 
 Array = NDArray[np.floating[Any]]
 
-FEWEST = 4
-"""Photographs that the result and the truth must share."""
-
+FEWEST = 4  # photographs that the result and the truth must share
 _POINTS = 60
-_OUTLIER = 2.0
-"""Pixels beyond which a point counts by its distance, no longer by its square."""
+_OUTLIER = 2.0  # pixels beyond which a point counts by its distance, no longer by its square
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Alignment:
-    """How the truth's frame lies in the result's.
+    """How the truth's frame lies in the result's."""
 
-    Attributes:
-        place: Brings the truth's frame to the result's.
-        pixels: Root mean square distance of points of the true surface from their true places in
-            the photographs, seen by the result's cameras, pixels of the photographs.
-        photographs: How many the result and the truth share.
-    """
-
-    place: Similarity
+    place: Similarity  # brings the truth's frame to the result's
+    # root mean square distance of points of the true surface from their true places in the
+    # photographs, seen by the result's cameras, pixels of the photographs
     pixels: float
-    photographs: int
+    photographs: int  # how many the result and the truth share
 
     def described(self) -> dict[str, Any]:
         """Plain JSON values."""
@@ -63,14 +55,9 @@ class Alignment:
 
 
 def truth_of(capture: Path, paths: JobPaths) -> tuple[Truth, Alignment | None]:
-    """The truth of a capture where a result stands, and how it was brought there, if it was.
+    """The truth of a rendered capture where a result stands, and how it was brought there, if so.
 
-    Args:
-        capture: The rendered capture.
-        paths: The result's folder.
-
-    Raises:
-        CaptureError: If there is no truth, or it is of other photographs.
+    `CaptureError` if there is no truth, or it is of other photographs.
     """
     known = load_truth(capture)
     if not known.cameras:
@@ -80,15 +67,7 @@ def truth_of(capture: Path, paths: JobPaths) -> tuple[Truth, Alignment | None]:
 
 
 def align(truth: Truth, views: Sequence[View]) -> Alignment:
-    """The similarity from the truth's frame to that of a result.
-
-    Args:
-        truth: Of photographs, in its own frame.
-        views: Of the result.
-
-    Raises:
-        CaptureError: If they share too few photographs.
-    """
+    """The similarity from the truth's frame to that of views; `CaptureError` if few are shared."""
     found = {v.name: v.camera for v in views if v.name in truth.cameras}
     if len(found) < FEWEST:
         raise CaptureError(

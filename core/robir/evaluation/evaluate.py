@@ -4,6 +4,10 @@
 Only test views count, at the resolution of the truth. The foreground of a view is where the
 pixel-centre ray meets the scene. Albedo and roughness are compared where the result has a surface
 too; what it misses or adds is the business of the mask, the normals and the Chamfer distance.
+
+A result under another light is beside the true scene under it: `robir relight OUT --environment
+CAPTURE/truth/second_light.exr` makes the pictures, in Cycles. They go back to radiance by the tone
+curve that they were shown through: neither its errors nor those of the recovered light count.
 """
 
 from __future__ import annotations
@@ -12,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from robir.errors import StorageError
@@ -25,13 +30,12 @@ from robir.evaluation.layers import (
     stored_mesh,
     view_layers,
 )
-from robir.evaluation.light_scores import light_scores, load_light
-from robir.evaluation.relighting import relight_scores
-from robir.evaluation.sheet import save_sheet, truth_sheet
-from robir.evaluation.tone_scores import tone_scores
-from robir.evaluation.truth import TrueView, Truth
+from robir.evaluation.light_scores import light_scores, load_light, tone_scores
+from robir.evaluation.photos import read_picture, save_sheet, truth_sheet
+from robir.evaluation.truth import TrueView, Truth, read_exr
 from robir.geometry.mesh.triangles import Mesh, vertex_normals
 from robir.jobs.paths import JobPaths
+from robir.maths import tone
 
 Array = NDArray[np.floating[Any]]
 
@@ -39,22 +43,12 @@ _MAX_CHAMFER_POINTS = 40_000
 
 
 def evaluate(paths: JobPaths, truth: Path, sheet: Path | None = None) -> dict[str, Any]:
-    """Every score of DESIGN section 8 that needs truth.
+    """Every score that needs truth of a result whose appearance stage is done, plain JSON values.
 
-    Args:
-        paths: Result folder whose appearance stage is done.
-        truth: The rendered capture it was made from.
-        sheet: PNG to write the comparison sheet to, or None.
-
-    Returns:
-        Plain JSON values: "scene", "albedo", "photo_as_albedo", "uncertainty", "shadow",
-        "roughness", "normals", "mask_iou", "chamfer" (thousandths of the radius), "light",
-        "tone_curve", "relighting" (None unless the result was relit as the truth was), "views",
-        "alignment" (how the truth of photographs was brought to the result; None of renderings).
-
-    Raises:
-        StorageError: If the result folder lacks a stage.
-        CaptureError: If there is no truth.
+    "scene", those of `image_scores` and `geometry_scores`, "light", "tone_curve", "relighting"
+    (None unless the result was relit as the truth was), "views", "alignment" (how the truth of
+    photographs was brought to the result; None of renderings). The comparison is written to
+    `sheet`, a PNG. `StorageError` if the result lacks a stage, `CaptureError` if there is no truth.
     """
     known, alignment = truth_of(truth, paths)
     capture_file = paths.stage("capture") / "capture.json"
@@ -91,30 +85,23 @@ def evaluate(paths: JobPaths, truth: Path, sheet: Path | None = None) -> dict[st
 
 
 def image_scores(layers: tuple[Layers, ...], truth: Truth) -> dict[str, Any]:
-    """Albedo, its baseline, baked shadows and roughness.
+    """Albedo, its baseline, baked shadows and roughness, of the result as each test view sees it.
 
-    Args:
-        layers: The result as each test view sees it.
-        truth: The same views.
-
-    Returns:
-        "albedo" (PSNRs, scales, "ssim" and "lmse" averaged over views; SSIM is of the sRGB-encoded
-        per-channel least-squares albedo), "photo_as_albedo" (PSNRs of the photograph decoded as
-        sRGB), "uncertainty" (how often its bands hold the truth; None where none is stated),
-        "shadow" (and "shadow_of_photo": the same ratio of the photograph), "roughness".
+    "albedo" (PSNRs, scales, "ssim" averaged over views; SSIM is of the sRGB-encoded
+    per-channel least-squares albedo), "photo_as_albedo" (PSNRs of the photograph decoded as sRGB),
+    "uncertainty" (how often its bands hold the truth; None where none is stated), "shadow" (and
+    "shadow_of_photo": the same ratio of the photograph), "roughness".
     """
     both = [ours.hit & view.hit for ours, view in zip(layers, truth.views, strict=True)]
     photos = [metrics.linear_from_srgb(view.photo_display) for view in truth.views]
     true_albedo = _pooled([view.albedo for view in truth.views], both)
     albedo = metrics.albedo_scores(_pooled([o.albedo_linear for o in layers], both), true_albedo)
     scale = np.array(albedo["scale"]["per_channel_lsq"])
-    ssim, lmse = [], []
+    ssim = []
     for ours, view, mask in zip(layers, truth.views, both, strict=True):
         if mask.any():
             encoded = metrics.srgb_from_linear(ours.albedo_linear * scale)
             ssim.append(metrics.masked_ssim(encoded, metrics.srgb_from_linear(view.albedo), mask))
-            local = metrics.lmse(ours.albedo_linear, view.albedo, mask)
-            lmse += [] if local is None else [local]
     regions = [
         metrics.shadow_regions(view.sun_visibility, view.normal, mask, truth.sun_direction)
         for view, mask in zip(truth.views, both, strict=True)
@@ -122,11 +109,7 @@ def image_scores(layers: tuple[Layers, ...], truth: Truth) -> dict[str, Any]:
     in_sun, in_shadow = (np.stack([region[i] for region in regions]) for i in (0, 1))
     stacked = np.stack([view.albedo for view in truth.views])
     return {
-        "albedo": {
-            **albedo,
-            "ssim": _mean(ssim),
-            "lmse": _mean(lmse),
-        },
+        "albedo": {**albedo, "ssim": _mean(ssim)},
         "uncertainty": _uncertainty(layers, both, true_albedo),
         "photo_as_albedo": metrics.albedo_scores(_pooled(photos, both), true_albedo),
         "shadow": metrics.shadow_ratio(
@@ -152,16 +135,7 @@ def _uncertainty(
 
 
 def geometry_scores(layers: tuple[Layers, ...], mesh: Mesh, truth: Truth) -> dict[str, Any]:
-    """Normals, mask and Chamfer distance.
-
-    Args:
-        layers: The result as each test view sees it.
-        mesh: The result, capture frame.
-        truth: The same views.
-
-    Returns:
-        "normals", "mask_iou", "chamfer".
-    """
+    """Scores of a mesh in the capture's frame: "normals", "mask_iou" and "chamfer"."""
     views = truth.views
     ours_hit = np.stack([ours.hit for ours in layers])
     true_hit = np.stack([view.hit for view in views])
@@ -201,9 +175,60 @@ def _pooled(images: list[Any], masks: list[NDArray[np.bool_]]) -> Array:
 
 
 def _thinned(points: Array) -> Array:
-    """At most so many of the points, evenly chosen."""
     return points[:: -(-len(points) // _MAX_CHAMFER_POINTS) or 1]
 
 
 def _mean(values: list[float]) -> float | None:
     return float(np.mean(values)) if values else None
+
+
+Array = NDArray[np.floating[Any]]
+
+LIGHT = "second_light"  # name, without suffix, of the map beside the truth
+WHOLE = 254  # code of alpha from which a pixel is wholly the object's
+_WHOLE_SHARE = 0.999
+
+
+def second_light(capture: Path) -> Path | None:
+    """The map under which a rendered capture was rendered once more, or None."""
+    file = capture / "truth" / f"{LIGHT}.exr"
+    return file if file.is_file() else None
+
+
+def relit_picture(paths: JobPaths, view: str) -> Path:
+    """Where `robir relight` leaves a test view under the second light."""
+    return paths.renders / f"relit_{LIGHT}_test_{view}.png"
+
+
+def relight_scores(paths: JobPaths, truth: Truth) -> dict[str, Any] | None:
+    """PSNR of relit radiance over the pixels that are wholly object in result and truth.
+
+    "psnr_srgb" and "psnr_linear" by alignment and "scale", as of `metrics.albedo_scores`, radiance
+    clipped to [0, 1]; "views" that were compared. None where nothing was relit.
+    """
+    facts = stored_facts(paths.stage("appearance") / "tone_curve.json", TONE_CURVE)
+    curve = tone.curve_from_name(facts["family"], facts["parameters"])
+    pairs = [_radiance(paths, truth, view, curve) for view in truth.views]
+    known = [pair for pair in pairs if pair is not None]
+    if not known:
+        return None
+    ours, true = (np.concatenate([pair[i] for pair in known]) for i in (0, 1))
+    return metrics.albedo_scores(ours, np.clip(true, 0.0, 1.0)) | {"views": len(known)}
+
+
+def _radiance(
+    paths: JobPaths, truth: Truth, view: TrueView, curve: tone.AbstractToneCurve
+) -> tuple[Array, Array] | None:
+    """Radiance (N, 3) of the result and of the truth over the pixels that count."""
+    picture = relit_picture(paths, view.name)
+    file = truth.root / "truth" / "relit" / f"{view.name}.exr"
+    if not (picture.is_file() and file.is_file()):
+        return None
+    codes, planes = read_picture(picture), read_exr(file)
+    if codes.shape != (*view.hit.shape, 4):
+        return None
+    shown = torch.from_numpy(codes[..., :3].astype(np.float32) / 255)
+    ours = curve.linear_from_display(shown).numpy()
+    true = np.stack([planes[f"radiance.{axis}"] for axis in "RGB"], axis=-1)
+    both = view.hit & (planes["mask"] > _WHOLE_SHARE) & (codes[..., 3] >= WHOLE)
+    return (ours[both], true[both]) if both.any() else None

@@ -24,9 +24,7 @@ from robir.jobs.records import NUMBERS, read_record
 
 Array = NDArray[np.floating[Any]]
 
-TONE_CURVE = {"family": str, "parameters": {...: float}}
-"""What tone_curve.json has to hold."""
-
+TONE_CURVE = {"family": str, "parameters": {...: float}}  # what tone_curve.json has to hold
 _EXPOSURE = {
     "steps": {...: NUMBERS}, "corner_steps": float, "slope_steps": {...: NUMBERS},
     "other_light": [str],
@@ -38,30 +36,21 @@ _TEXTURES = {
     "coverage?": "f T T", "disagreement?": "f T T", "uncertainty?": "f T T", "specular?": "f",
 }  # fmt: skip
 
-SUB_PIXELS = 3
-"""Rays along either side of a pixel where a layer holds means, as a renderer's passes do."""
+SUB_PIXELS = 3  # rays along either side of a pixel whose mean a layer holds, as in a renderer
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Layers:
-    """Images of one view; 0 where the camera misses the mesh.
+    """Images of one view; 0 where the camera misses the mesh."""
 
-    Attributes:
-        hit: (H, W) bool, whether the ray through the pixel's centre meets the mesh.
-        position: (H, W, 3), where it does, frame of the mesh. The others are means over the part
-            of the pixel that shows the mesh.
-        normal: (H, W, 3), unit, world.
-        albedo_linear: (H, W, 3), linear Rec.709.
-        roughness: (H, W), perceptual.
-        uncertainty: (H, W), standard error of log albedo, or None where a result states none.
-    """
-
-    hit: NDArray[np.bool_]
+    hit: NDArray[np.bool_]  # (H, W) bool, whether the ray through the pixel's centre meets the mesh
+    # (H, W, 3), where it does, frame of the mesh. The others are means over the part of the pixel
+    # that shows the mesh.
     position: Array
-    normal: Array
-    albedo_linear: Array
-    roughness: Array
-    uncertainty: Array | None
+    normal: Array  # (H, W, 3), unit, world
+    albedo_linear: Array  # (H, W, 3), linear Rec.709
+    roughness: Array  # (H, W), perceptual
+    uncertainty: Array | None  # (H, W), standard error of log albedo, if stated
 
 
 def shaded_mesh(paths: JobPaths) -> Mesh:
@@ -89,15 +78,7 @@ def stored_mesh(paths: JobPaths) -> Mesh:
 
 
 def stored_facts(path: Path, form: Any) -> Any:
-    """Contents of a JSON file of a stage.
-
-    Args:
-        path: The file.
-        form: What it has to hold, see `robir.jobs.records`.
-
-    Raises:
-        StorageError: If it is missing or damaged.
-    """
+    """Contents of a stage's JSON file of a form of `robir.jobs.records`, or a `StorageError`."""
     try:
         return read_record(path, form)
     except (OSError, ValueError) as fault:
@@ -105,11 +86,7 @@ def stored_facts(path: Path, form: Any) -> Any:
 
 
 def stored_exposure(path: Path) -> dict[str, Any]:
-    """Contents of the appearance stage's exposure.json.
-
-    Raises:
-        StorageError: If it is missing or damaged.
-    """
+    """Contents of the appearance stage's exposure.json, or a `StorageError`."""
     exposure = stored_facts(path, _EXPOSURE)
     if any(len(row) != 3 for name in _BY_VIEW for row in exposure[name].values()):
         raise StorageError(f"{path} is damaged (not three values); reconstruct with --resume")
@@ -117,15 +94,7 @@ def stored_exposure(path: Path) -> dict[str, Any]:
 
 
 def load_textures(paths: JobPaths, *needed: str) -> dict[str, Array]:
-    """Arrays of the appearance stage's textures.npz by name.
-
-    Args:
-        paths: Result folder.
-        needed: Names that not every method writes, but the caller cannot do without.
-
-    Raises:
-        StorageError: If it is missing or damaged, or lacks something.
-    """
+    """Arrays of the appearance stage's textures.npz by name; a `StorageError` without `needed`."""
     path = paths.stage("appearance") / "textures.npz"
     return stored_arrays(path, _TEXTURES | {name: _TEXTURES[f"{name}?"] for name in needed})
 
@@ -133,14 +102,10 @@ def load_textures(paths: JobPaths, *needed: str) -> dict[str, Array]:
 def view_layers(
     mesh: Mesh, textures: dict[str, Array], cameras: Iterable[Camera], sub_pixels: int = SUB_PIXELS
 ) -> tuple[Layers, ...]:
-    """What each camera sees.
+    """What each camera sees of an unwrapped mesh in the cameras' frame.
 
-    Args:
-        mesh: Unwrapped, in the cameras' frame.
-        textures: "albedo_linear" (T, T, 3), "roughness" (T, T), "inside" (T, T), and "uncertainty"
-            (T, T) where it is stated.
-        cameras: In the mesh's frame.
-        sub_pixels: Rays along either side of a pixel, odd.
+    Textures are "albedo_linear" (T, T, 3), "roughness" (T, T), "inside" (T, T), and "uncertainty"
+    (T, T) where it is stated; `sub_pixels` are rays along either side of a pixel, odd.
     """
     caster = MeshCaster(mesh)
     inside = textures["inside"].astype(bool)
@@ -159,16 +124,9 @@ def view_layers(
         normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
         material = _pixel_means(material, sub_pixels) / share
         normal[~hit], material[~hit] = 0.0, 0.0
-        layers.append(
-            Layers(
-                hit=hit,
-                position=seen.position[centre],
-                normal=normal,
-                albedo_linear=material[..., :3],
-                roughness=material[..., 3],
-                uncertainty=material[..., 4] if "uncertainty" in textures else None,
-            )
-        )
+        parts: dict[str, Any] = {"albedo_linear": material[..., :3], "roughness": material[..., 3]}
+        parts["uncertainty"] = material[..., 4] if "uncertainty" in textures else None
+        layers.append(Layers(hit=hit, position=seen.position[centre], normal=normal, **parts))
     return tuple(layers)
 
 

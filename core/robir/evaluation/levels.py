@@ -28,9 +28,8 @@ from robir.capture.store import load_settled
 from robir.errors import RobirError
 from robir.evaluation import metrics
 from robir.evaluation.layers import TONE_CURVE, shaded_mesh, stored_exposure, stored_facts
-from robir.evaluation.photos import Exposures, read_picture
-from robir.evaluation.sheet import cut, over_grey, save_sheet, window
-from robir.evaluation.warping import warped_views
+from robir.evaluation.photos import Exposures, cut, over_grey, read_picture, save_sheet, window
+from robir.evaluation.surfaces import warped_views
 from robir.geometry.config import GeometryConfig
 from robir.geometry.hull import carve, hull_of
 from robir.geometry.mesh.isosurface import extract
@@ -41,45 +40,27 @@ from robir.transport.baked import RAY_OFFSET
 from robir.transport.observe import MASK_INSIDE, spread_views
 
 Picture = NDArray[np.uint8]
-Pictures = dict[str, Picture]
-"""RGBA codes by the view's name."""
-
-SIDE = 400
-"""Longer side, pixels, that all is scored at, whatever size the photographs are stored in."""
-
-STRIP_VIEWS = 3
-"""Held-out photographs that are shown."""
-
-NOTEWORTHY = 0.1
-"""Loss below which no stage is named, dB."""
+Pictures = dict[str, Picture]  # RGBA codes by the view's name
+SIDE = 400  # longer side, pixels, that all is scored at, whatever size photographs are stored in
+STRIP_VIEWS = 3  # held-out photographs that are shown
+NOTEWORTHY = 0.1  # loss below which no stage is named, dB
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Level:
-    """One level of the chain.
+    """One level of the chain."""
 
-    Attributes:
-        name: Key in levels.json.
-        letter: In tables.
-        title: What is shown.
-        stage: What is at fault where it loses against the level before.
-        reason: How it loses.
-    """
-
-    name: str
-    letter: str
-    title: str
-    stage: str
-    reason: str
+    name: str  # key in levels.json
+    letter: str  # in tables
+    title: str  # what is shown
+    stage: str  # what is at fault where it loses against the level before
+    reason: str  # how it loses
 
 
+# the chain, in order
 LEVELS = (
     Level(
-        name="hull",
-        letter="a",
-        title="nearest photographs on the visual hull",
-        stage="",
-        reason="",
+        name="hull", letter="a", title="nearest photographs on the visual hull", stage="", reason=""
     ),
     Level(
         name="field",
@@ -125,47 +106,37 @@ LEVELS = (
         reason="Blender shows the asset otherwise than our own renderer",
     ),
 )
-"""The chain, in order."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Judged:
-    """A held-out photograph and where levels are compared with it.
+    """A held-out photograph and where levels are compared with it."""
 
-    Attributes:
-        view: At the size that is scored.
-        whole: (H, W) pixels that are wholly object.
-        seen: (H, W) those of them where the mesh is met and some photograph shows the point.
-    """
-
-    view: View
-    whole: NDArray[np.bool_]
-    seen: NDArray[np.bool_]
+    view: View  # at the size that is scored
+    whole: NDArray[np.bool_]  # (H, W) pixels that are wholly object
+    seen: NDArray[np.bool_]  # (H, W) those where some photograph shows the mesh
 
 
 def level_scores(paths: JobPaths, strip: Path | None = None) -> dict[str, Any]:
-    """Score every level that a finished result can show.
+    """Score every level that a finished result can show, as plain JSON values.
 
-    Args:
-        paths: Result folder whose appearance stage is done.
-        strip: PNG to write the pictures of a few views to, or None.
-
-    Returns:
-        Plain JSON values. "views", "seen_share" (of the mask's pixels those that are compared);
-        "chain", by the names of `LEVELS`: "letter", "title", "views", "psnr", "ssim", "gradient",
-        "psnr_whole_mask", and "loss" in dB against the level "against"; None what is not measured.
-        "verdict" is a sentence.
+    "views", "seen_share" (of the mask's pixels those that are compared); "chain", by the names of
+    `LEVELS`: "letter", "title", "views", "psnr", "ssim", "gradient", "psnr_whole_mask", and "loss"
+    in dB against the level "against"; None what is not measured. "verdict" is a sentence. Pictures
+    of a few views are written to `strip`, a PNG.
     """
     exposure, tone_curve = _camera_facts(paths)
-    whole = load_settled(paths)
-    capture = whole.without(exposure["other_light"]).normalised()
+    capture = load_settled(paths).without(exposure["other_light"]).normalised()
     if not capture.held_out:
         return _table([], {}, "No photograph was held out: there is nothing to judge by.")
     mesh = shaded_mesh(paths)
     exposures = Exposures.of(exposure, tone_curve, mesh)
     views = [resize_view(view, SIDE) for view in capture.held_out]
     pictures = level_pictures(paths, (mesh, exposures), capture, views)
-    judged = [_judged(view, pictures["mesh"][view.name]) for view in views]
+    judged = []
+    for view in views:
+        whole, on_mesh = view.mask > MASK_INSIDE, pictures["mesh"][view.name][..., 3] > 0
+        judged.append(Judged(view=view, whole=whole, seen=whole & on_mesh))
     if strip is not None:
         save_sheet(strip, strip_rows(judged, pictures))
     return _table(judged, pictures)
@@ -183,16 +154,10 @@ def _camera_facts(paths: JobPaths) -> tuple[dict[str, Any], dict[str, Any]]:
 def level_pictures(
     paths: JobPaths, known: tuple[Mesh, Exposures], capture: Capture, views: Sequence[View]
 ) -> dict[str, Pictures]:
-    """What each level shows of the views, at their exposure.
+    """What each level shows of the held-out views, at their size and exposure, by level.
 
-    Args:
-        paths: Result folder.
-        known: Its surface, and how all photographs were exposed and lit.
-        capture: Its photographs, those in another light left out, unit frame.
-        views: The held-out ones at the size that is scored.
-
-    Returns:
-        Pictures of the views' size by level; empty where the level is not to be had.
+    `known` is the surface and how all photographs were exposed and lit; the capture is in the unit
+    frame, without photographs in another light. Empty where the level is not to be had.
     """
     mesh, exposures = known
     photographs = [exposures.evened(resize_view(view, SIDE)) for view in capture.train]
@@ -202,7 +167,10 @@ def level_pictures(
         "diffuse": paths.stage("appearance") / "held_out_diffuse.npz",
         "material": paths.stage("appearance") / "held_out.npz",
     }
-    made = {name: _stored(file) for name, file in stored.items()}
+    made: dict[str, Pictures] = {
+        name: stored_arrays(file, PICTURES) if file.is_file() else {}
+        for name, file in stored.items()
+    }
     made |= {"hull": _on_hull(photographs, views), "mesh": nearest, "mean": mean}
     made["cycles"] = {
         view.name: read_picture(file)
@@ -228,18 +196,13 @@ def _warped(
     """The nearest photographs and the mean of all on a surface, by view."""
     cameras = [view.camera for view in views]
     made = list(warped_views(mesh, photographs, cameras, RAY_OFFSET))
-    names = [view.name for view in views]
-    return (
-        {name: one.nearest for name, one in zip(names, made, strict=True)},
-        {name: one.mean for name, one in zip(names, made, strict=True)},
-    )
+    by_name = dict(zip((view.name for view in views), made, strict=True))
+    nearest = {name: one.nearest for name, one in by_name.items()}
+    return nearest, {name: one.mean for name, one in by_name.items()}
 
 
 def _on_hull(photographs: Sequence[View], views: Sequence[View]) -> Pictures:
-    """The nearest photographs on the visual hull by view; none where masks have no common volume.
-
-    The hull is that of the settings `draft`, whatever the result was made with: a yardstick.
-    """
+    """The nearest photographs on the visual hull of the settings `draft` by view, or none."""
     config = GeometryConfig()
     photos = [reduce_view(view, config.image_side) for view in photographs]
     try:
@@ -247,13 +210,6 @@ def _on_hull(photographs: Sequence[View], views: Sequence[View]) -> Pictures:
     except RobirError:
         return {}
     return _warped(surface, photographs, views)[0]
-
-
-def _stored(file: Path) -> Pictures:
-    """Pictures that a stage left, by view."""
-    if not file.is_file():
-        return {}
-    return stored_arrays(file, PICTURES)
 
 
 def _sized(picture: Picture, view: View) -> Picture:
@@ -267,16 +223,9 @@ def _sized(picture: Picture, view: View) -> Picture:
     return np.asarray(image.convert("RGBA"))
 
 
-def _judged(view: View, on_mesh: Picture) -> Judged:
-    """Where a view is compared, by the nearest photographs on the mesh."""
-    whole = view.mask > MASK_INSIDE
-    return Judged(view=view, whole=whole, seen=whole & (on_mesh[..., 3] > 0))
-
-
 def _table(
     judged: Sequence[Judged], pictures: Mapping[str, Pictures], verdict: str | None = None
 ) -> dict[str, Any]:
-    """What `level_scores` returns."""
     chain: dict[str, dict[str, Any]] = {}
     before: tuple[str, dict[str, Any]] | None = None
     for level in LEVELS:
@@ -308,16 +257,7 @@ def _table(
 
 
 def view_scores(judged: Judged, picture: Picture) -> dict[str, Any]:
-    """Scores of one level's picture of one view.
-
-    Args:
-        judged: The photograph and its pixels.
-        picture: (H, W, 4) codes of the same size.
-
-    Returns:
-        "psnr", "ssim", "gradient" (see `metrics.gradient_error`) over the pixels that are
-        compared, and "psnr_whole_mask".
-    """
+    """Scores of one level's picture (H, W, 4), codes, of one view of that size."""
     ours = picture[..., :3] / 255.0 * (picture[..., 3:] > 0)
     photo = judged.view.image_display / 255.0
     return {
@@ -334,11 +274,7 @@ def _mean(values: Sequence[float | None]) -> float | None:
 
 
 def fault(chain: Mapping[str, Mapping[str, Any]]) -> str:
-    """One sentence that names the stage which loses most.
-
-    Args:
-        chain: As from `level_scores`.
-    """
+    """One sentence that names the stage which loses most, by the chain of `level_scores`."""
     losses = {name: row["loss"] or 0.0 for name, row in chain.items()}
     worst = max(losses, key=lambda name: losses[name])
     if losses[worst] < NOTEWORTHY:
@@ -356,15 +292,7 @@ def fault(chain: Mapping[str, Mapping[str, Any]]) -> str:
 
 
 def strip_rows(judged: Sequence[Judged], pictures: Mapping[str, Pictures]) -> list[Pictures]:
-    """Rows of labelled pictures, one a view: the photograph and what each level shows.
-
-    Args:
-        judged: Held-out views.
-        pictures: By level and view.
-
-    Returns:
-        At most STRIP_VIEWS rows, cut to the object; views with a Cycles picture come first.
-    """
+    """Rows of labelled pictures of up to STRIP_VIEWS held-out views, those of Cycles first."""
     views = tuple(one.view for one in judged)
     rendered = tuple(view for view in views if view.name in pictures["cycles"])
     rows = []
@@ -379,3 +307,52 @@ def strip_rows(judged: Sequence[Judged], pictures: Mapping[str, Pictures]) -> li
         frame = window(view.mask)
         rows.append({label: over_grey(cut(picture, frame)) for label, picture in shown.items()})
     return rows
+
+
+# titles of the columns of `level_cells`
+LEVEL_HEAD = ("level", "", "dB", "SSIM", "gradient", "dB, whole mask", "loss, dB")
+
+
+def level_cells(levels: Mapping[str, Any]) -> list[list[str]]:
+    """The table of `level_scores` as it is shown, a row a level."""
+
+    def text(value: float | None, digits: int, sign: str) -> str:
+        return "-" if value is None else f"{value:{sign}.{digits}f}"
+
+    kinds = {"psnr": (1, ""), "ssim": (3, ""), "gradient": (2, ""), "psnr_whole_mask": (1, "")}
+    kinds["loss"] = (1, "+")
+    return [
+        [row["letter"], row["title"], *(text(row[kind], *how) for kind, how in kinds.items())]
+        for row in levels["chain"].values()
+    ]
+
+
+def level_notes(levels: Mapping[str, Any]) -> list[str]:
+    """Sentences below the table: what was compared, and which stage is at fault."""
+    share, chain = levels["seen_share"], levels["chain"]
+    if share is None:
+        return [levels["verdict"]]
+    notes = [
+        f"{levels['views']} held-out photographs, the same pixels for all: {share:.0%} of the "
+        "masks, where the mesh is met and some photograph shows the point.",
+        levels["verdict"],
+    ]
+    asset, mean = (chain[name]["psnr"] for name in ("material", "mean"))
+    if asset is not None and mean is not None:
+        side = "above" if asset > mean else "below"
+        notes.append(f"The asset (e) lies {abs(asset - mean):.1f} dB {side} the plain mean (c').")
+    return notes
+
+
+def level_lines(levels: Mapping[str, Any]) -> list[str]:
+    """The table and its sentences for a terminal."""
+    lines = [list(LEVEL_HEAD), *level_cells(levels)]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    shown = [
+        "  ".join(
+            cell.ljust(width) if index < 2 else cell.rjust(width)
+            for index, (cell, width) in enumerate(zip(line, widths, strict=True))
+        )
+        for line in lines
+    ]
+    return [*shown, *level_notes(levels)]

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reads the recovered light and scores it."""
+"""Reads the recovered light, and scores it and the recovered tone curve."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,8 +15,11 @@ from skimage.transform import resize_local_mean
 
 from robir.errors import StorageError
 from robir.evaluation import metrics
-from robir.jobs.records import NUMBERS, read_record
+from robir.evaluation.layers import stored_facts
+from robir.jobs.records import NUMBERS
 from robir.maths import spherical_gaussian as sg
+from robir.maths import tone
+from robir.maths.tone_power import DISPLAY_POWER
 from robir.maths.vectors import equirect_directions, equirect_solid_angles
 
 Array = NDArray[np.floating[Any]]
@@ -29,15 +33,10 @@ _LIGHT = {"lobes": [{"axis": NUMBERS, "sharpness": float, "amplitude": NUMBERS, 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecoveredLight:
-    """The lobes of light.json.
+    """The lobes of light.json."""
 
-    Attributes:
-        lobes: World-space mixture; amplitude is radiance, linear Rec.709.
-        is_sharp: (K,) bool, suns and lamps as opposed to sky.
-    """
-
-    lobes: sg.SphericalGaussians
-    is_sharp: NDArray[np.bool_]
+    lobes: sg.SphericalGaussians  # world-space mixture; amplitude is radiance, linear Rec.709
+    is_sharp: NDArray[np.bool_]  # (K,) bool, suns and lamps as opposed to sky
 
     def power(self) -> Array:
         """Luminance of each lobe integrated over the sphere, (K,)."""
@@ -61,32 +60,24 @@ class RecoveredLight:
         directions = equirect_directions(rows)
         for start in range(0, rows, _CHUNK_ROWS):
             part = slice(start, start + _CHUNK_ROWS)
-            image[part] = sg.evaluate(self._chosen(wide), directions[part]).numpy()
+            image[part] = sg.evaluate(self.chosen(wide), directions[part]).numpy()
         if not bool(wide.all()):
-            image += sg.to_equirect(self._chosen(~wide), rows).numpy()
+            image += sg.to_equirect(self.chosen(~wide), rows).numpy()
         return image
 
-    def _chosen(self, which: torch.Tensor) -> sg.SphericalGaussians:
-        lobes = self.lobes
-        return sg.SphericalGaussians(
-            axis=lobes.axis[which],
-            sharpness=lobes.sharpness[which],
-            amplitude=lobes.amplitude[which],
-        )
+    def chosen(self, which: torch.Tensor) -> sg.SphericalGaussians:
+        """Some of the lobes."""
+        axis, sharpness, amplitude = self.lobes.axis, self.lobes.sharpness, self.lobes.amplitude
+        parts = {"axis": axis[which], "sharpness": sharpness[which], "amplitude": amplitude[which]}
+        return sg.SphericalGaussians(**parts)
 
 
 def load_light(path: Path) -> RecoveredLight:
-    """Read a light.json.
-
-    Raises:
-        StorageError: If it is missing or damaged.
-    """
-    try:
-        table = read_record(path, _LIGHT)["lobes"]
-        if any(len(lobe["axis"]) != 3 or len(lobe["amplitude"]) != 3 for lobe in table):
-            raise ValueError("an axis or amplitude has not three numbers")  # noqa: TRY301
-    except (OSError, ValueError) as fault:
-        raise StorageError(f"{path} is damaged ({fault}); reconstruct with --resume") from fault
+    """Read a light.json, or a `StorageError`."""
+    table = stored_facts(path, _LIGHT)["lobes"]
+    if any(len(lobe["axis"]) != 3 or len(lobe["amplitude"]) != 3 for lobe in table):
+        fault = "an axis or amplitude has not three numbers"
+        raise StorageError(f"{path} is damaged ({fault}); reconstruct with --resume")
 
     def column(name: str) -> torch.Tensor:
         return torch.tensor([lobe[name] for lobe in table], dtype=torch.float32)
@@ -106,17 +97,11 @@ def light_scores(
 ) -> dict[str, float | None]:
     """Error of the recovered light.
 
-    Args:
-        light: Recovered.
-        truth_linear: (H, 2H, 3) true lat-long radiance, lamps included, times the exposure: as the
-            tone curve was given it.
-        sun_direction: (3,) true, towards the sun.
-        normals: (N, 3) of what the test views show, unit, world.
-
-    Returns:
-        "strongest_lobe_degrees": angle of the strongest sharp lobe to the sun, None without one;
-        "environment_log_rmse": `metrics.environment_log_rmse` at 64 x 128 texels; "level_log_error"
-        and "hue_log_error": see `level_and_hue`.
+    `truth_linear` (H, 2H, 3) is true lat-long radiance, lamps included, times the exposure, as the
+    tone curve was given it; `sun_direction` (3,) points to the sun; `normals` (N, 3), unit, world,
+    are what the test views show. "strongest_lobe_degrees": angle of the strongest sharp lobe to the
+    sun, None without one; "environment_log_rmse" at 64 x 128 texels; "level_log_error" and
+    "hue_log_error" of `level_and_hue`.
     """
     axis = light.strongest_direction()
     small = resize_local_mean(truth_linear, (_SCORE_ROWS, 2 * _SCORE_ROWS))
@@ -133,18 +118,11 @@ def light_scores(
 def level_and_hue(estimate_linear: Array, truth_linear: Array, normals: Array) -> dict[str, float]:
     """How bright and of which hue the light is that falls on a surface, beside the true one.
 
-    Of both maps the irradiance of unoccluded surfaces is taken and averaged over the normals: what
-    the estimate has too much of here its albedo has too little of.
-
-    Args:
-        estimate_linear: (H, 2H, 3) lat-long radiance.
-        truth_linear: The same of the truth.
-        normals: (N, 3), unit, world; at most some hundreds of them are used.
-
-    Returns:
-        "level_log_error": natural logarithm of the ratio of luminances, above 0 where the estimate
-        is too bright; "hue_log_error": standard deviation over the channels of the logarithms of
-        their ratios, 0 where the hue is right.
+    Of both maps (H, 2H, 3), lat-long radiance, the irradiance of unoccluded surfaces is averaged
+    over normals (N, 3), unit, world, of which some hundreds are used: what the estimate has too
+    much of here its albedo has too little of. "level_log_error": natural logarithm of the ratio of
+    luminances, above 0 where the estimate is too bright; "hue_log_error": standard deviation over
+    the channels of the logarithms of their ratios, 0 where the hue is right.
     """
     ours, true = (_mean_irradiance(image, normals) for image in (estimate_linear, truth_linear))
     return {
@@ -161,3 +139,52 @@ def _mean_irradiance(image: Array, normals: Array) -> Array:
     directions = equirect_directions(rows).numpy().reshape(-1, 3)
     seen = np.maximum(thinned @ directions.T, 0.0).mean(axis=0)[:, None] * solid
     return np.maximum((seen * image.reshape(-1, 3)).sum(axis=0), 1e-9)
+
+
+Array = NDArray[np.floating[Any]]
+
+CODES = np.linspace(0.05, 0.95, 91)  # display codes at which curves are compared
+
+
+_MEASURED = {"EMoR mean": "camera"}  # names in scene.json that Blender has not, and ours
+
+
+def true_curve(scene: Mapping[str, Any]) -> tone.AbstractToneCurve | None:
+    """The curve that a scene.json names, or None if it is none of ours.
+
+    "view_transform" is a view transform of Blender or a family of ours, "display_power" is there
+    where the photographs were re-toned afterwards, and "look" where a look of Blender's came first,
+    which makes it none of ours.
+    """
+    if scene.get("look"):
+        return None
+    name = _MEASURED.get(scene["view_transform"], scene["view_transform"])
+    for curve in tone.families():
+        if name in (curve.blender_view_transform, curve.name):
+            return tone.powered(curve, float(scene.get(DISPLAY_POWER, 1.0)))
+    return None
+
+
+def stops_apart(curve: tone.AbstractToneCurve, other: tone.AbstractToneCurve) -> float:
+    """Root mean square of the log2 ratio of two curves' radiance over CODES, without its mean."""
+    ratio = np.log2(grey_radiance(curve) / grey_radiance(other))
+    return float(ratio.std())
+
+
+def grey_radiance(curve: tone.AbstractToneCurve) -> Array:
+    """Grey radiance of each of CODES under a curve, at least 1e-6."""
+    grey = torch.from_numpy(CODES)[:, None].expand(-1, 3)
+    return curve.linear_from_display(grey).mean(-1).clamp_min(1e-6).numpy()
+
+
+def tone_scores(found: Mapping[str, Any], scene: Mapping[str, Any]) -> dict[str, Any]:
+    """Scores of tone_curve.json by the truth's scene.json; "stops" apart, None if not of ours."""
+    truth = true_curve(scene)
+    recovered = tone.curve_from_name(found["family"], found["parameters"])
+    return {
+        "family": found["family"],
+        "parameters": found["parameters"],
+        "true_view_transform": scene["view_transform"],
+        "true_display_power": float(scene.get(DISPLAY_POWER, 1.0)),
+        "stops": None if truth is None else stops_apart(recovered, truth),
+    }

@@ -50,17 +50,10 @@ def psnr(estimate: Array, truth: Array) -> float:
 
 
 def alignment_scale(estimate_linear: Array, truth_linear: Array, alignment: str) -> Array:
-    """Factor that brings the estimate to the truth.
+    """Factors (3,) that bring the estimate B (N, 3) to the truth A (N, 3), linear.
 
-    Args:
-        estimate_linear: (N, 3) B.
-        truth_linear: (N, 3) A.
-        alignment: "raw" is 1; "one_scalar" is sum(A B) / sum(B B) over all channels;
-            "per_channel_lsq" the same for each channel (NeRFactor); "per_channel_median" is the
-            median of A_c / max(B_c, 1e-6) (TensoIR).
-
-    Returns:
-        (3,) factors.
+    "one_scalar" is sum(A B) / sum(B B) over all channels; "per_channel_lsq" the same for each
+    (NeRFactor); "per_channel_median" is the median of A_c / max(B_c, 1e-6) (TensoIR).
     """
     a, b = np.asarray(truth_linear, np.float64), np.asarray(estimate_linear, np.float64)
     if alignment == "raw":
@@ -75,16 +68,7 @@ def alignment_scale(estimate_linear: Array, truth_linear: Array, alignment: str)
 
 
 def albedo_scores(estimate_linear: Array, truth_linear: Array) -> dict[str, dict[str, Any]]:
-    """Albedo PSNR under every alignment, linear and sRGB-encoded.
-
-    Args:
-        estimate_linear: (N, 3), linear Rec.709.
-        truth_linear: (N, 3), linear Rec.709 in [0, 1], the same pixels.
-
-    Returns:
-        {"psnr_linear": {alignment: dB}, "psnr_srgb": {alignment: dB},
-        "scale": {alignment: [r, g, b]}}.
-    """
+    """PSNR in dB, linear and sRGB, by alignment, and their "scale"; (N, 3), truth in [0, 1]."""
     scores: dict[str, dict[str, Any]] = {"psnr_linear": {}, "psnr_srgb": {}, "scale": {}}
     for alignment in ALIGNMENTS:
         scale = alignment_scale(estimate_linear, truth_linear, alignment)
@@ -99,18 +83,11 @@ def albedo_scores(estimate_linear: Array, truth_linear: Array) -> dict[str, dict
 def band_coverage(estimate_linear: Array, truth_linear: Array, error: Array) -> dict[str, Any]:
     """How often the truth lies within the bands that a stated standard error promises.
 
-    A band of nominal share p is albedo times exp(+-z error), z the normal quantile of (1 + p) / 2.
-    The estimate is first scaled channel by channel as for "per_channel_lsq"; both are kept from
-    MIN_ALBEDO up, below which logarithms say nothing.
-
-    Args:
-        estimate_linear: (N, 3), linear Rec.709.
-        truth_linear: (N, 3), linear Rec.709 in [0, 1], the same pixels.
-        error: (N,) standard error of the natural log of albedo.
-
-    Returns:
-        "nominal" and "observed" shares of NOMINAL_SHARES; "share_90", the observed one at 0.9;
-        "median", of the error.
+    A band of nominal share p is albedo times exp(+-z error), z the normal quantile of (1 + p) / 2,
+    error (N,) of the natural log of albedo. Albedos (N, 3) are linear; the estimate is first scaled
+    as for "per_channel_lsq"; both are kept from MIN_ALBEDO up, below which logarithms say nothing.
+    "nominal" and "observed" shares of NOMINAL_SHARES; "share_90", the observed one at 0.9;
+    "median", of the error.
     """
     scale = alignment_scale(estimate_linear, truth_linear, "per_channel_lsq")
     off = np.log(np.clip(np.asarray(estimate_linear) * scale, MIN_ALBEDO, 1.0))
@@ -130,47 +107,24 @@ def normal_quantiles() -> list[float]:
 
 
 def masked_ssim(estimate: Array, truth: Array, mask: Mask) -> float:
-    """Structural similarity, mean of its map over the mask.
+    """Structural similarity of images (H, W, 3) in [0, 1], mean over a mask (H, W) and channels.
 
-    Gaussian window of standard deviation 1.5 (Wang 2004), data range 1; what lies outside the
-    mask is set to 0 in both images first.
-
-    Args:
-        estimate: (H, W, 3) in [0, 1].
-        truth: (H, W, 3) in [0, 1].
-        mask: (H, W).
-
-    Returns:
-        Mean over the mask's pixels and the channels, at most 1.
+    Gaussian window of standard deviation 1.5 (Wang 2004), data range 1; what lies outside the mask
+    is set to 0 in both images first.
     """
     a, b = truth * mask[..., None], estimate * mask[..., None]
-    similarity = structural_similarity(
-        a,
-        b,
-        data_range=1.0,
-        channel_axis=-1,
-        gaussian_weights=True,
-        sigma=1.5,
-        use_sample_covariance=False,
-        full=True,
-    )[1]
+    how = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
+    similarity = structural_similarity(a, b, data_range=1.0, channel_axis=-1, full=True, **how)[1]
     return float(np.mean(similarity[mask]))
 
 
 def gradient_error(estimate: Array, truth: Array, mask: Mask) -> float | None:
     """Difference of the gradients of two images over the gradients of the truth, both mean L1.
 
-    0 for equal images and 1 for an even estimate: what is blurred, shifted or missing counts, a
-    wrong brightness does not. Differences of neighbours along rows and columns, at full size, half
-    and a quarter of it (means over 2 x 2 pixels); the mean of what the three sizes give.
-
-    Args:
-        estimate: (H, W, 3) in [0, 1].
-        truth: (H, W, 3) in [0, 1].
-        mask: (H, W); a difference counts where all its pixels do.
-
-    Returns:
-        The error, or None where the truth has no gradient.
+    Images (H, W, 3) in [0, 1]. 0 for equal ones and 1 for an even estimate: what is blurred,
+    shifted or missing counts, a wrong brightness does not. Differences of neighbours along rows and
+    columns whose pixels are all in the mask (H, W), at full size, half and a quarter of it (means
+    over 2 x 2 pixels); the mean of the three. None where the truth has no gradient.
     """
     ratios = []
     a, b = np.asarray(truth, np.float64), np.asarray(estimate, np.float64)
@@ -195,59 +149,15 @@ def _halved(image: Array) -> Array:
     return blocks.mean(axis=(1, 3))
 
 
-def lmse(estimate_linear: Array, truth_linear: Array, mask: Mask, window: int = 20) -> float | None:
-    """Local mean squared error of Grosse et al. 2009; lower is better, an all-zero guess has 1.
-
-    In every full window alpha = sum(m A B) / sum(m B^2), or 0 where that divisor is at most 1e-5;
-    the score is the sum over windows of sum m (A - alpha B)^2 over the sum over windows of
-    sum m A^2. Windows step by half their size; one alpha a channel, mean over the channels.
-
-    Args:
-        estimate_linear: (H, W, 3).
-        truth_linear: (H, W, 3).
-        mask: (H, W), pixels that count.
-        window: Side in pixels; 20 belongs to images of about 500 pixels.
-
-    Returns:
-        The score, or None if no window holds anything.
-    """
-    step = window // 2
-    m = mask[..., None].astype(np.float64)
-    products = (m * truth_linear**2, m * truth_linear * estimate_linear, m * estimate_linear**2)
-    aa, ab, bb = (_window_sums(product, window, step) for product in products)
-    total = aa.sum(axis=(0, 1))
-    if aa.size == 0 or not np.all(total > 0):
-        return None
-    alpha = np.where(bb > 1e-5, ab / np.maximum(bb, 1e-5), 0.0)
-    squares = aa - 2.0 * alpha * ab + alpha**2 * bb
-    return float(np.mean(squares.sum(axis=(0, 1)) / total))
-
-
-def _window_sums(image: Array, window: int, step: int) -> Array:
-    """Sums over all full windows, (rows, columns, C), by a summed-area table."""
-    table: Array = np.pad(image.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0), (0, 0)))
-    low, high = table[:-window, :-window], table[window:, window:]
-    inner: Array = high - table[:-window, window:] - table[window:, :-window] + low
-    return inner[::step, ::step]
-
-
 def shadow_regions(
     sun_visibility: Array, normal: Array, mask: Mask, sun_direction: Array
 ) -> tuple[Mask, Mask]:
-    """Pixels safely in the true sun and safely in its cast shadow.
+    """Pixels (H, W) safely in the true sun, and those safely in its cast shadow.
 
-    Left out: pixels that face away from the sun or graze it (cosine at most 0.1, there shadow is
-    shading, not cast), pixels at the mask's border, pixels next to a shadow's edge (visibility
+    `sun_visibility` (H, W) is the share of the sun that the surface sees, `sun_direction` points to
+    it. Left out: pixels that face away from the sun or graze it (cosine at most 0.1, there shadow
+    is shading, not cast), pixels at the mask's border, pixels next to a shadow's edge (visibility
     varies by more than 0.1 in the 3x3 neighbourhood) and penumbrae (visibility in 0.05..0.95).
-
-    Args:
-        sun_visibility: (H, W), share of the sun that the surface sees, in [0, 1], true.
-        normal: (H, W, 3), unit, world, true.
-        mask: (H, W), foreground.
-        sun_direction: (3,), unit, world, towards the sun.
-
-    Returns:
-        In the sun (H, W) and in shadow (H, W).
     """
     # background pixels must not read as shadow's edges: the border is dropped by the erosion
     inside = binary_erosion(mask, np.ones((3, 3), bool))
@@ -264,18 +174,11 @@ def shadow_ratio(
     Materials are cells of the true albedo: sRGB-encoded, each channel cut into 16 steps. For a
     material g(S) = sum of the estimate over S / sum of the truth over S (all channels), so that
     texture inside a cell cancels; its ratio is g(shadow) / g(sun). The score is the mean over
-    materials weighted with the smaller of the two pixel counts; materials with fewer than 20
-    pixels on either side are left out. Needs no alignment: a common factor cancels.
-
-    Args:
-        estimate_linear: (..., 3).
-        truth_linear: (..., 3), the same pixels.
-        in_sun: (...), of `shadow_regions`.
-        in_shadow: (...), of `shadow_regions`.
-
-    Returns:
-        {"ratio": 1 nothing baked, below shadow baked in, above over-corrected, None if no material
-        has both sides; "materials", "pixels_in_shadow", "pixels_in_sun": what it rests on}.
+    materials weighted with the smaller of the two pixel counts; materials with fewer than 20 pixels
+    on either side are left out. Needs no alignment: a common factor cancels.
+    Both (..., 3), the regions (...) of `shadow_regions`. "ratio": 1 nothing baked, below shadow
+    baked in, above over-corrected, None if no material has both sides; "materials",
+    "pixels_in_shadow", "pixels_in_sun": what it rests on.
     """
     cell = np.minimum((srgb_from_linear(truth_linear) / _MATERIAL_STEP).astype(np.int64), 15)
     label = cell[..., 0] * 256 + cell[..., 1] * 16 + cell[..., 2]
@@ -303,15 +206,7 @@ def shadow_ratio(
 
 
 def roughness_scores(estimate: Array, truth: Array) -> dict[str, float]:
-    """Root mean square error of roughness, and that of the best constant.
-
-    Args:
-        estimate: (N,), perceptual roughness as in Blender.
-        truth: (N,), the same pixels.
-
-    Returns:
-        {"rmse", "mae", "best_constant_rmse"}; the best constant is the true mean.
-    """
+    """Errors of perceptual roughness (N,): "rmse", "mae", and that of the best constant."""
     difference = np.asarray(estimate, np.float64) - truth
     return {
         "rmse": float(np.sqrt(np.mean(difference**2))),
@@ -321,17 +216,11 @@ def roughness_scores(estimate: Array, truth: Array) -> dict[str, float]:
 
 
 def environment_log_rmse(estimate_linear: Array, truth_linear: Array) -> float:
-    """Error of an environment image in log radiance after one common factor.
+    """Error of an environment (H, W, 3), lat-long, in log radiance after one common factor.
 
     With d = ln(B + e) - ln(A + e), e a thousandth of each image's own mean, the score is the
     standard deviation of d over solid angle and channels: the factor is the one that suits best.
-
-    Args:
-        estimate_linear: (H, W, 3) lat-long radiance.
-        truth_linear: (H, W, 3) of the same size and frame.
-
-    Returns:
-        Natural-log units; 0.69 is a typical error of a factor 2.
+    0.69 is a typical error of a factor 2.
     """
     rows = truth_linear.shape[0]
     solid = np.sin((np.arange(rows) + 0.5) * np.pi / rows)[:, None, None]

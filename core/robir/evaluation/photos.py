@@ -1,22 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How well a re-render repeats a photograph, as displayed."""
+"""How well a re-render repeats a photograph, as displayed, and pictures side by side."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, ImageDraw, ImageFont
 
+from robir.capture.arrays import PICTURES, stored_arrays
 from robir.capture.capture import View
+from robir.capture.store import load_settled
 from robir.evaluation import metrics
+from robir.evaluation.layers import Layers
 from robir.evaluation.surfaces import MeshCaster
 from robir.geometry.mesh.triangles import Mesh
+from robir.jobs.paths import JobPaths, replacing
 from robir.maths.tone import curve_from_name
 from robir.maths.tone_curve import AbstractToneCurve
 from robir.transport.observe import MASK_INSIDE
@@ -25,16 +29,12 @@ Picture = NDArray[np.uint8]
 
 
 def photo_scores(rerender: Picture, view: View) -> dict[str, float] | None:
-    """PSNR and SSIM of a re-render against the photograph, over the photograph's mask.
+    """PSNR and SSIM of a re-render's display values against the photograph, over its mask.
 
-    Args:
-        rerender: (h, w, 3) or (h, w, 4) display codes of the same view, at any size; where it is
-            transparent it counts as black. The photograph is reduced to its size.
-        view: The photograph; pixels that are wholly object count. Those at the outline hold what
-            lies behind it too, or have colours that were divided by their alpha.
-
-    Returns:
-        {"psnr", "ssim"} of the display values in [0, 1], or None where no pixel is.
+    The re-render (h, w, 3) or (h, w, 4), codes, may have any size; the photograph is reduced to it;
+    what is transparent counts as black. Pixels that are wholly object count: those at the outline
+    hold what lies behind it too, or have colours that were divided by their alpha. None where no
+    pixel is.
     """
     height, width = rerender.shape[:2]
     ours = rerender[..., :3] / 255.0
@@ -58,15 +58,10 @@ def photo_scores(rerender: Picture, view: View) -> dict[str, float] | None:
 def exposed(
     picture: Picture, steps: Sequence[float] | NDArray[np.float64], curve: AbstractToneCurve
 ) -> Picture:
-    """A picture as a camera with another exposure and white balance would show it.
+    """A picture (H, W, 3 or 4), codes, as a camera of another exposure and white balance shows it.
 
-    Args:
-        picture: (H, W, 3) or (H, W, 4) display codes.
-        steps: (3,) or (H, W, 3) by which each channel is brighter, log2.
-        curve: Tone curve that the picture went through.
-
-    Returns:
-        The picture, alpha as it was.
+    `steps` (3,) or (H, W, 3) are stops by which each channel is brighter, `curve` the tone curve
+    that the picture went through; alpha stays.
     """
     display = torch.from_numpy(picture[..., :3].astype(np.float32) / 255)
     linear = curve.linear_from_display(display) * torch.from_numpy(
@@ -78,35 +73,19 @@ def exposed(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Exposures:
-    """How the photographs of a capture were exposed and lit.
+    """How the photographs of a capture were exposed and lit."""
 
-    Attributes:
-        steps: By which each channel is brighter than at the common exposure, log2, by the view's
-            name; a view that is not there was exposed like all.
-        corner_steps: By which the corners of all photographs are darker than their middle.
-        slope_steps: By which each is brighter per unit of the normal, log2; empty where all are in
-            one light.
-        curve: The tone curve under which this holds.
-        surface: Of the object, where there are slopes; in the frame of the views.
-    """
-
-    steps: Mapping[str, Sequence[float]]
-    corner_steps: float
-    slope_steps: Mapping[str, Sequence[float]]
-    curve: AbstractToneCurve
-    surface: MeshCaster | None
+    steps: Mapping[str, Sequence[float]]  # by view and channel, log2, brighter than the common one
+    corner_steps: float  # by which the corners of all photographs are darker than their middle
+    slope_steps: Mapping[str, Sequence[float]]  # brighter per unit of the normal, log2; or empty
+    curve: AbstractToneCurve  # the tone curve under which this holds
+    surface: MeshCaster | None  # of the object, where there are slopes; in the frame of the views
 
     @classmethod
     def of(
         cls, exposure: Mapping[str, Any], tone_curve: Mapping[str, Any], mesh: Mesh
     ) -> Exposures:
-        """What the appearance stage's exposure.json and tone_curve.json hold.
-
-        Args:
-            exposure: Contents of the one.
-            tone_curve: Contents of the other.
-            mesh: The surface, in the frame of the views.
-        """
+        """Of the contents of exposure.json and tone_curve.json; the mesh in the views' frame."""
         return cls(
             steps=exposure["steps"],
             corner_steps=exposure["corner_steps"],
@@ -154,3 +133,149 @@ def read_picture(path: Path) -> Picture:
     """An image file as (H, W, 3) or (H, W, 4) codes."""
     with Image.open(path, formats=["PNG"]) as image:
         return np.array(image.convert("RGBA" if image.mode == "RGBA" else "RGB"))
+
+
+if TYPE_CHECKING:
+    # What it reads truth with takes a second to load, and the report has no truth.
+    from robir.evaluation.truth import Truth
+
+Array = NDArray[np.floating[Any]]
+Picture = NDArray[np.uint8]
+
+MAX_SIDE = 320  # longer side of a picture that is cut to the object, pixels
+_MARGIN = 1.08
+_MAX_ROWS = 4
+_GAP = 4
+_LABEL_HEIGHT = 26
+BACKGROUND = 36  # code of the dark grey behind pictures
+
+
+def display_codes(image_display: Array, hit: NDArray[np.bool_] | None = None) -> Picture:
+    """Display values in [0, 1] as 8-bit codes, on dark grey where `hit` is false."""
+    codes = np.round(np.clip(image_display, 0.0, 1.0) * 255.0).astype(np.uint8)
+    if codes.ndim == 2:
+        codes = np.repeat(codes[..., None], 3, axis=-1)
+    if hit is not None:
+        codes = np.where(hit[..., None], codes, np.uint8(BACKGROUND))
+    return codes
+
+
+def layer_pictures(layers: Layers, albedo_scale: Array | float = 1.0) -> dict[str, Picture]:
+    """One view's albedo (sRGB-encoded), roughness (as is) and normals (half plus a half)."""
+    return {
+        "albedo": display_codes(
+            metrics.srgb_from_linear(layers.albedo_linear * albedo_scale), layers.hit
+        ),
+        "roughness": display_codes(layers.roughness, layers.hit),
+        "normals": display_codes(0.5 + 0.5 * layers.normal, layers.hit),
+    }
+
+
+def over_grey(picture: Picture) -> Picture:
+    """RGBA codes (H, W, 4) on the sheet's dark grey, as (H, W, 3) codes."""
+    rgba = picture.astype(np.float64)
+    alpha = rgba[..., 3:] / 255.0
+    return np.round(rgba[..., :3] * alpha + BACKGROUND * (1 - alpha)).astype(np.uint8)
+
+
+def window(mask: Picture) -> Array:
+    """Square about a mask with a margin: left, top, right, bottom in widths of the picture."""
+    height, width = mask.shape
+    rows, columns = np.nonzero(mask > 127)
+    if len(rows) == 0:
+        rows, columns = np.array([0, height - 1]), np.array([0, width - 1])
+    low = np.array([columns.min(), rows.min()], float)
+    high = np.array([columns.max(), rows.max()], float) + 1.0
+    half = 0.5 * _MARGIN * (high - low).max()
+    middle = 0.5 * (low + high)
+    return np.concatenate([middle - half, middle + half]) / width
+
+
+def cut(picture: Picture, frame: Array, side: int = MAX_SIDE) -> Picture:
+    """The window of a picture of any size, RGBA; transparent where it reaches beyond it."""
+    box = np.round(frame * picture.shape[1]).astype(int).tolist()
+    return thumbnail(np.asarray(Image.fromarray(picture).convert("RGBA").crop(box)), side)
+
+
+def thumbnail(picture: Picture, side: int = MAX_SIDE) -> Picture:
+    """The picture at no more than the page can show."""
+    image = Image.fromarray(picture)
+    image.thumbnail((side, side))
+    return np.asarray(image)
+
+
+def truth_sheet(
+    paths: JobPaths, layers: tuple[Layers, ...], truth: Truth, albedo_scale: Array
+) -> list[dict[str, Picture]]:
+    """Rows of the comparison with truth, at most four: photograph, re-render, material and surface.
+
+    The result's own re-renders are shown where their pose is that of a test view; `albedo_scale`
+    (3,) brings our albedo to the truth's.
+    """
+    rerenders = _rerenders(paths)
+    rows = []
+    count = min(_MAX_ROWS, len(truth.views))
+    for index in np.linspace(0, len(truth.views) - 1, count).round().astype(int):
+        view, ours = truth.views[index], layers[index]
+        pictures = layer_pictures(ours, albedo_scale)
+        blank = np.full((*view.hit.shape, 3), BACKGROUND, np.uint8)
+        again = rerenders.get(_pose_key(view.camera.camera_to_world), blank)
+        true_albedo = metrics.srgb_from_linear(view.albedo)
+        rows.append(
+            {
+                "photo": display_codes(view.photo_display, view.hit),
+                "re-render": again,
+                "albedo (scaled)": pictures["albedo"],
+                "true albedo": display_codes(true_albedo, view.hit),
+                "roughness": pictures["roughness"],
+                "true roughness": display_codes(view.roughness, view.hit),
+                "normals": pictures["normals"],
+                "true normals": display_codes(0.5 + 0.5 * view.normal, view.hit),
+            }
+        )
+    return rows
+
+
+def _rerenders(paths: JobPaths) -> dict[tuple[float, ...], Picture]:
+    """Our own re-renders of held-out views by camera pose."""
+    held_out = paths.stage("appearance") / "held_out.npz"
+    capture = load_settled(paths)
+    arrays = stored_arrays(held_out, PICTURES)
+    found = {
+        _pose_key(view.camera.camera_to_world): arrays[view.name]
+        for view in capture.held_out
+        if view.name in arrays
+    }
+    return {key: picture[..., :3] for key, picture in found.items()}
+
+
+def _pose_key(camera_to_world: NDArray[np.float64]) -> tuple[float, ...]:
+    return tuple(np.round(camera_to_world[:3, 3], 4).tolist())
+
+
+def save_sheet(path: Path, rows: Sequence[dict[str, Picture]]) -> None:
+    """Write rows of labelled pictures (H, W, 3), codes, as one PNG, all as high as the tallest."""
+    height = max(picture.shape[0] for row in rows for picture in row.values())
+    height = max(height, 160)
+    labels = list(rows[0])
+    tiles = [[_to_height(row[label], height) for label in labels] for row in rows]
+    widths = [max(line[i].width for line in tiles) for i in range(len(labels))]
+    size = (sum(widths) + _GAP * (len(widths) + 1), _LABEL_HEIGHT + len(rows) * (height + _GAP))
+    sheet = Image.new("RGB", size, (BACKGROUND,) * 3)
+    draw = ImageDraw.Draw(sheet)
+    x = _GAP
+    for column, label in enumerate(labels):
+        draw.text((x + 2, 5), label, fill=(225, 225, 225), font=ImageFont.load_default(14))
+        for row, line in enumerate(tiles):
+            sheet.paste(line[column], (x, _LABEL_HEIGHT + row * (height + _GAP)))
+        x += widths[column] + _GAP
+    with replacing(path) as temporary:
+        sheet.save(temporary, format="PNG")
+
+
+def _to_height(picture: Picture, height: int) -> Image.Image:
+    image = Image.fromarray(picture)
+    if image.height == height:
+        return image
+    width = round(image.width * height / image.height)
+    return image.resize((width, height), Image.Resampling.LANCZOS)

@@ -10,22 +10,16 @@ from typing import Any, Literal
 from robir.evaluation.levels import LEVELS
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Score:
-    """One column.
+    """One column."""
 
-    Attributes:
-        title: Heading with the unit.
-        path: Dotted place in the scores; "a - b" is a difference of two.
-        best: Which end is good: "high", "low", "one" for ratios that should be 1, "zero" for errors
-            with a sign, or "nine tenths" for shares that should be that.
-        digits: Decimals shown.
-    """
-
-    title: str
-    path: str
+    title: str  # heading with the unit
+    path: str  # dotted place in the scores; "a - b" is a difference of two
+    # which end is good: "high", "low", "one" for ratios that should be 1, "zero" for errors with a
+    # sign, or "nine tenths" for shares that should be that
     best: Literal["high", "low", "one", "zero", "nine tenths"]
-    digits: int
+    digits: int  # decimals shown
 
     def value(self, scores: Mapping[str, Any]) -> float | None:
         """The score, or None where it could not be measured."""
@@ -36,13 +30,9 @@ class Score:
 
     def badness(self, value: float) -> float:
         """Larger is worse."""
-        return {
-            "high": -value,
-            "low": value,
-            "one": abs(value - 1.0),
-            "zero": abs(value),
-            "nine tenths": abs(value - 0.9),
-        }[self.best]
+        if self.best in ("high", "low"):
+            return -value if self.best == "high" else value
+        return abs(value - {"one": 1.0, "zero": 0.0, "nine tenths": 0.9}[self.best])
 
     def text(self, value: float | None) -> str:
         """The value as shown."""
@@ -51,92 +41,58 @@ class Score:
 
 _ALBEDO = "albedo.psnr_linear"
 
+# scores of one evaluation, as `robir.evaluation.evaluate.evaluate` returns them
 SCORES = (
+    Score("albedo, per channel (dB)", f"{_ALBEDO}.per_channel_lsq", "high", 1),
     Score(
-        title="albedo, per channel (dB)", path=f"{_ALBEDO}.per_channel_lsq", best="high", digits=1
+        "above the photo (dB)",
+        f"{_ALBEDO}.per_channel_lsq - photo_as_albedo.psnr_linear.per_channel_lsq",
+        "high",
+        1,
     ),
-    Score(
-        title="above the photo (dB)",
-        path=f"{_ALBEDO}.per_channel_lsq - photo_as_albedo.psnr_linear.per_channel_lsq",
-        best="high",
-        digits=1,
-    ),
-    Score(title="albedo, raw (dB)", path=f"{_ALBEDO}.raw", best="high", digits=1),
-    Score(title="shadow ratio", path="shadow.ratio", best="one", digits=2),
-    Score(title="sun (degrees)", path="light.strongest_lobe_degrees", best="low", digits=1),
-    Score(title="normals (degrees)", path="normals.mean_degrees", best="low", digits=1),
-    Score(title="IoU", path="mask_iou", best="high", digits=3),
-    Score(title="Chamfer (1e-3 radius)", path="chamfer.chamfer", best="low", digits=1),
-    Score(title="roughness RMSE", path="roughness.rmse", best="low", digits=3),
-    Score(
-        title="over the best constant",
-        path="roughness.rmse - roughness.best_constant_rmse",
-        best="low",
-        digits=3,
-    ),
-    Score(title="tone curve (stops)", path="tone_curve.stops", best="low", digits=2),
-    Score(title="90 % band", path="uncertainty.share_90", best="nine tenths", digits=2),
+    Score("albedo, raw (dB)", f"{_ALBEDO}.raw", "high", 1),
+    Score("shadow ratio", "shadow.ratio", "one", 2),
+    Score("sun (degrees)", "light.strongest_lobe_degrees", "low", 1),
+    Score("normals (degrees)", "normals.mean_degrees", "low", 1),
+    Score("IoU", "mask_iou", "high", 3),
+    Score("Chamfer (1e-3 radius)", "chamfer.chamfer", "low", 1),
+    Score("roughness RMSE", "roughness.rmse", "low", 3),
+    Score("over the best constant", "roughness.rmse - roughness.best_constant_rmse", "low", 3),
+    Score("tone curve (stops)", "tone_curve.stops", "low", 2),
+    Score("90 % band", "uncertainty.share_90", "nine tenths", 2),
 )
-"""Scores of one evaluation, as `robir.evaluation.evaluate.evaluate` returns them."""
-
 ALBEDO, ABOVE_PHOTO, RAW_ALBEDO, SHADOW, SUN, NORMALS = SCORES[:6]
 ROUGHNESS = SCORES[8]
 
-LEVEL = Score(title="light level (ln)", path="light.level_log_error", best="zero", digits=2)
-HUE = Score(title="light hue (ln)", path="light.hue_log_error", best="low", digits=3)
-RELIT = Score(
-    title="relit, per channel (dB)",
-    path="relighting.psnr_srgb.per_channel_lsq",
-    best="high",
-    digits=1,
-)
-RELIT_RAW = Score(title="relit, raw (dB)", path="relighting.psnr_srgb.raw", best="high", digits=1)
+LEVEL = Score("light level (ln)", "light.level_log_error", "zero", 2)
+HUE = Score("light hue (ln)", "light.hue_log_error", "low", 3)
+RELIT = Score("relit, per channel (dB)", "relighting.psnr_srgb.per_channel_lsq", "high", 1)
+RELIT_RAW = Score("relit, raw (dB)", "relighting.psnr_srgb.raw", "high", 1)
 
+# what the bench records of a run beside the scores: how its own re-render of held-out photographs
+# compares with them, and what it cost
 COSTS = (
-    Score(title="re-render (dB)", path="held_out.psnr", best="high", digits=1),
-    Score(title="CPU-s", path="cpu_seconds", best="low", digits=0),
-    Score(title="peak GB", path="peak_gigabytes", best="low", digits=2),
+    Score("re-render (dB)", "held_out.psnr", "high", 1),
+    Score("CPU-s", "cpu_seconds", "low", 0),
+    Score("peak GB", "peak_gigabytes", "low", 2),
 )
-"""What the bench records of a run beside the scores: how its own re-render of held-out photographs
-compares with them, and what it cost."""
-
 RERENDER, SECONDS = COSTS[0], COSTS[1]
 
 
+# scores of the levels, as `robir evaluate --json` prints them
 LEVEL_SCORES = (
     *(
-        Score(
-            title=f"{level.letter} (dB)",
-            path=f"levels.chain.{level.name}.psnr",
-            best="high",
-            digits=1,
-        )
+        Score(f"{level.letter} (dB)", f"levels.chain.{level.name}.psnr", "high", 1)
         for level in LEVELS
     ),
     *(
-        Score(
-            title=f"{level.letter} (SSIM)",
-            path=f"levels.chain.{level.name}.ssim",
-            best="high",
-            digits=2,
-        )
+        Score(f"{level.letter} (SSIM)", f"levels.chain.{level.name}.ssim", "high", 2)
         for level in LEVELS
         if level.name in ("mean", "diffuse", "material", "cycles")
     ),
-    Score(
-        title="f, whole mask (dB)",
-        path="levels.chain.cycles.psnr_whole_mask",
-        best="high",
-        digits=1,
-    ),
-    Score(
-        title="e above c' (dB)",
-        path="levels.chain.material.psnr - levels.chain.mean.psnr",
-        best="high",
-        digits=1,
-    ),
+    Score("f, whole mask (dB)", "levels.chain.cycles.psnr_whole_mask", "high", 1),
+    Score("e above c' (dB)", "levels.chain.material.psnr - levels.chain.mean.psnr", "high", 1),
 )
-"""Scores of the levels, as `robir evaluate --json` prints them."""
 
 
 def score_lines(scores: Mapping[str, Any]) -> list[str]:

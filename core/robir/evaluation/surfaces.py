@@ -1,8 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What cameras see of a mesh, and scores of its surface."""
+"""What cameras see of a mesh, scores of it, and a mesh as the photographs around a camera show it.
+
+What such a picture lacks is the fault of the surface, of the poses, or of what changes with the
+view, for no light and no material is in it.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,8 +16,10 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from robir.capture.camera import Camera
+from robir.capture.capture import View
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
+from robir.transport.observe import Observations, observe
 
 Array = NDArray[np.floating[Any]]
 Mask = NDArray[np.bool_]
@@ -22,34 +29,19 @@ _NEIGHBOURS = 8
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VisibleSurface:
-    """First hits of a camera's pixel-centre rays on a mesh.
+    """First hits of a camera's pixel-centre rays on a mesh."""
 
-    Attributes:
-        hit: (H, W) whether the ray meets the mesh.
-        position: (H, W, 3), frame of the mesh; 0 where missed.
-        normal: (H, W, 3), interpolated vertex normals, unit; 0 where missed.
-        uv: (H, W, 2), v upwards; 0 where missed or where the mesh is not unwrapped.
-    """
-
-    hit: Mask
-    position: Array
-    normal: Array
-    uv: Array
+    hit: Mask  # (H, W) whether the ray meets the mesh
+    position: Array  # (H, W, 3), frame of the mesh; 0 where missed
+    normal: Array  # (H, W, 3), interpolated vertex normals, unit; 0 where missed
+    uv: Array  # (H, W, 2), v upwards; 0 where missed or where the mesh is not unwrapped
 
 
 class MeshCaster:
-    """A mesh ready to be looked at by many cameras.
-
-    Attributes:
-        tracer: Its acceleration structure.
-    """
+    """A mesh ready to be looked at by many cameras; `tracer` is its acceleration structure."""
 
     def __init__(self, mesh: Mesh) -> None:
-        """Build the acceleration structure.
-
-        Args:
-            mesh: Any frame; the cameras must share it.
-        """
+        """Build the acceleration structure of a mesh in the cameras' frame."""
         self._mesh = mesh
         self.tracer = EmbreeTracer(mesh.vertices, mesh.faces)
 
@@ -83,19 +75,11 @@ class MeshCaster:
 
 
 def surface_distance(points: Array, vertices: Array, faces: NDArray[np.integer[Any]]) -> Array:
-    """Distance of points to a triangle mesh.
+    """Distances (N,) of points (N, 3) to a triangle mesh: vertices (Nv, 3) and faces (Nf, 3).
 
     Exact for the nearest of the candidate triangles, which are those of the 8 nearest surface
-    samples (every corner, centroid and some 200 000 area-weighted points); a nearer triangle
-    can be missed only where many small ones crowd, by less than the samples' spacing.
-
-    Args:
-        points: (N, 3).
-        vertices: (Nv, 3), the same frame.
-        faces: (Nf, 3).
-
-    Returns:
-        (N,), same unit.
+    samples (every corner, centroid and some 200 000 area-weighted points); a nearer triangle can be
+    missed only where many small ones crowd, by less than the samples' spacing.
     """
     # Not above: it takes most of a second to load, and a reconstruction does without it.
     from trimesh.triangles import closest_point
@@ -130,16 +114,8 @@ def chamfer(
 ) -> dict[str, float]:
     """Chamfer distance between what cameras see of two surfaces, in thousandths of the radius.
 
-    Args:
-        visible: (N, 3) points of the estimate that the cameras see.
-        true_visible: (M, 3) points of the truth that the cameras see.
-        mesh: The estimate, same frame.
-        true_mesh: The truth, same frame.
-        radius: Radius of the scene in that frame.
-
-    Returns:
-        "accuracy", mean distance of visible points to the true surface; "completeness", mean
-        distance of truly visible points to the estimate; "chamfer", the mean of the two.
+    "accuracy", mean distance of visible points (N, 3) to the true surface; "completeness", mean
+    distance of truly visible points (M, 3) to the estimate; "chamfer", the mean of the two.
     """
     scale = 1000.0 / radius
     accuracy = scale * surface_distance(visible, true_mesh.vertices, true_mesh.faces).mean()
@@ -152,16 +128,7 @@ def chamfer(
 
 
 def normal_scores(estimate: Array, truth: Array, hit: Mask) -> dict[str, float]:
-    """Angles between estimated and true normals over the true foreground, degrees.
-
-    Args:
-        estimate: (N, 3), unit.
-        truth: (N, 3), unit.
-        hit: (N,) whether the estimate has a surface there; a miss counts as 90 degrees.
-
-    Returns:
-        {"mean_degrees", "median_degrees"}.
-    """
+    """Mean and median angle, degrees, of unit normals (N, 3); 90 degrees where `hit` is False."""
     sine = np.linalg.norm(np.cross(estimate, truth), axis=1)
     cosine = np.sum(np.asarray(estimate) * truth, axis=1)
     angle = np.where(hit, np.degrees(np.arctan2(sine, cosine)), 90.0)
@@ -172,3 +139,94 @@ def intersection_over_union(estimate: Mask, truth: Mask) -> float:
     """Pixels in both masks over pixels in either; all views together, any equal shapes."""
     either = np.count_nonzero(estimate | truth)
     return float(np.count_nonzero(estimate & truth) / either) if either else 1.0
+
+
+Floats = NDArray[np.float32]
+Picture = NDArray[np.uint8]
+
+NEAREST = 4  # photographs that are blended at a point; the next one's angle has weight 0
+LEAST_ANGLE = 1e-3  # radians below which photographs count as equally near
+CHUNK = 1 << 15  # points that are blended at a time; memory limits them
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Warped:
+    """One camera's view of a surface, RGBA codes; alpha is 0 where no photograph shows it."""
+
+    nearest: Picture  # (H, W, 4), photographs from the most similar directions, blended
+    mean: Picture  # (H, W, 4), plain mean of the display values of all that show the point
+
+
+def warped_views(
+    mesh: Mesh, photographs: Sequence[View], cameras: Sequence[Camera], offset: float
+) -> Iterator[Warped]:
+    """What photographs show at each camera's pixels, by a mesh; rays start `offset` above it."""
+    caster = MeshCaster(mesh)
+    seen = [caster.cast(camera) for camera in cameras]
+    position = np.concatenate([one.position[one.hit] for one in seen]).astype(np.float32)
+    normal = np.concatenate([one.normal[one.hit] for one in seen]).astype(np.float32)
+    read = observe(caster.tracer, position, normal, tuple(photographs), offset)
+    start = 0
+    for one, camera in zip(seen, cameras, strict=True):
+        chosen = slice(start, start + int(one.hit.sum()))
+        start = chosen.stop
+        nearest, mean, known = _blended(read, position, chosen, camera.position)
+        yield Warped(nearest=_picture(one.hit, nearest, known), mean=_picture(one.hit, mean, known))
+
+
+def _picture(hit: NDArray[np.bool_], colour: Floats, known: NDArray[np.bool_]) -> Picture:
+    """RGBA codes of the pixels (M) that meet the surface."""
+    codes = np.zeros((*hit.shape, 4), np.uint8)
+    codes[hit, :3] = np.rint(colour)
+    codes[hit, 3] = 255 * known
+    return codes
+
+
+def _blended(
+    read: Observations, position: Floats, chosen: slice, eye: NDArray[np.float64]
+) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+    """Blend of the nearest photographs and mean of all (M, 3), and where there is one, (M,)."""
+    nearest, mean, known = [], [], []
+    for start in range(chosen.start, chosen.stop, CHUNK):
+        part = slice(start, min(start + CHUNK, chosen.stop))
+        display = read.display[part].astype(np.float32)
+        shown = read.weight[part] > 0
+        angle = np.where(shown, _angles(position[part], read.positions, eye), np.inf)
+        weight = nearness(angle)
+        nearest.append(np.einsum("nv,nvc->nc", weight, display))
+        count = shown.sum(1)
+        mean.append(np.einsum("nv,nvc->nc", shown, display) / np.maximum(count, 1)[:, None])
+        known.append(count > 0)
+    if not known:
+        return np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32), np.zeros(0, bool)
+    return np.concatenate(nearest), np.concatenate(mean), np.concatenate(known)
+
+
+def _angles(position: Floats, cameras: Floats, eye: NDArray[np.float64]) -> Floats:
+    """Angles (N, V), radians, at points (N, 3) between the directions to an eye and to cameras."""
+    towards = eye.astype(np.float32) - position
+    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+    cosine = np.empty((len(position), len(cameras)), np.float32)
+    for index, camera in enumerate(cameras):
+        other = camera - position
+        cosine[:, index] = np.einsum("nd,nd->n", towards, other) / np.linalg.norm(other, axis=1)
+    return np.arccos(np.clip(cosine, -1.0, 1.0))
+
+
+def nearness(angle: Floats) -> Floats:
+    """Weights (N, V) of photographs by the angle at which they see a point beside the wanted view.
+
+    The smaller the angle the heavier, and 0 from that of the first photograph that is not among the
+    NEAREST, so that nothing jumps where another one comes in (Buehler et al. 2001, "Unstructured
+    lumigraph rendering"). Angles in radians, infinite where a photograph does not show the point;
+    weights sum to 1, or to 0 where none shows it.
+    """
+    limit = np.full(len(angle), np.inf, np.float32)
+    if angle.shape[1] > NEAREST:
+        limit = np.partition(angle, NEAREST, axis=1)[:, NEAREST]
+    limit = np.where(np.isfinite(limit), limit, np.float32(np.pi))[:, None]
+    weight = np.clip(1 - angle / np.maximum(limit, LEAST_ANGLE), 0, None)
+    weight /= np.maximum(angle, LEAST_ANGLE)
+    weight[~np.isfinite(angle)] = 0.0
+    total = weight.sum(1, keepdims=True)
+    return (weight / np.maximum(total, 1e-12)).astype(np.float32)

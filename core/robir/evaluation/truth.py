@@ -1,9 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reads the ground truth beside a capture; `blender_scenes/format.py` documents the files."""
+"""Reads the ground truth beside a capture; `blender_scenes/format.py` documents the files.
+
+Environment maps from anybody are looked at here, too: Blender dies of a damaged one without a
+sentence, takes any size, and renders light that is none.
+"""
 
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
@@ -18,8 +23,8 @@ from scipy.ndimage import map_coordinates
 
 from robir.capture.camera import Camera
 from robir.capture.images.decode import MAX_FILE_BYTES
-from robir.capture.images.regular import regular
-from robir.errors import CaptureError
+from robir.errors import CaptureError, UsageError
+from robir.jobs.names import regular
 from robir.jobs.records import MATRIX, NUMBERS, read_record
 from robir.maths.tone_power import DISPLAY_POWER
 from robir.maths.vectors import equirect_directions
@@ -45,68 +50,40 @@ _CAMERAS = {
     "photographs": [{"name": str, "camera_to_world": MATRIX, "has_truth": bool}],
 }  # fmt: skip
 
-PHOTOGRAPHED = "cameras.json"
-"""Beside the truth of photographs: their cameras in its frame, which need not be the capture's."""
-
-_MAX_NUMBERS = 400_000_000
-"""Largest EXR file, over all channels; a sky of 8192 columns has a quarter of it."""
-
+PHOTOGRAPHED = "cameras.json"  # the photographs' true cameras, in a frame of their own
+_MAX_NUMBERS = 400_000_000  # of an EXR over all channels; a sky of 8192 columns has a quarter of it
+# what reading a damaged truth raises
 _DAMAGE = (OSError, ValueError, LookupError, RuntimeError, TypeError, AttributeError, EOFError)
-"""What reading a damaged truth raises."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrueView:
-    """What is known of one view; images are (H, W) or (H, W, 3) float32, row 0 on top.
+    """What is known of one view; images are (H, W) or (H, W, 3) float32, row 0 on top."""
 
-    Attributes:
-        name: File name of the view without suffix, "r_000".
-        camera: Its camera, capture frame.
-        photo_display: Photograph in [0, 1], display-referred, straight.
-        albedo: Linear Rec.709.
-        roughness: Perceptual, 0..1.
-        normal: Unit, world; 0 in the background.
-        position: World position of the surface at the pixel's centre.
-        hit: Bool, whether the pixel-centre ray meets the scene: the foreground.
-        sun_visibility: 1 where the surface faces the sun and sees it.
-    """
-
-    name: str
-    camera: Camera
-    photo_display: Array
-    albedo: Array
-    roughness: Array
-    normal: Array
-    position: Array
-    hit: NDArray[np.bool_]
-    sun_visibility: Array
+    name: str  # file name of the view without suffix, "r_000"
+    camera: Camera  # its camera, capture frame
+    photo_display: Array  # photograph in [0, 1], display-referred, straight
+    albedo: Array  # linear Rec.709
+    roughness: Array  # perceptual, 0..1
+    normal: Array  # unit, world; 0 in the background
+    position: Array  # world position of the surface at the pixel's centre
+    hit: NDArray[np.bool_]  # bool, whether the pixel-centre ray meets the scene: the foreground
+    sun_visibility: Array  # 1 where the surface faces the sun and sees it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Truth:
-    """Ground truth of a rendered capture, in the capture's own frame and unit.
+    """Ground truth of a rendered capture, in the capture's own frame and unit."""
 
-    Attributes:
-        root: The capture folder.
-        scene: Contents of truth/scene.json.
-        views: Test views.
-        environment_linear: (H, 2H, 3) lat-long radiance, with each lamp as one bright texel.
-        sun_direction: (3,) unit, towards the sun.
-        vertices: (Nv, 3) of all render geometry.
-        faces: (Nf, 3).
-        radius: Radius of the scene.
-        cameras: Of photographs, the true one of each by name; else none.
-    """
-
-    root: Path
-    scene: dict[str, Any]
-    views: tuple[TrueView, ...]
-    environment_linear: Array
-    sun_direction: NDArray[np.float64]
-    vertices: Array
-    faces: NDArray[np.int32]
-    radius: float
-    cameras: dict[str, Camera] = field(default_factory=dict)
+    root: Path  # the capture folder
+    scene: dict[str, Any]  # contents of truth/scene.json
+    views: tuple[TrueView, ...]  # test views
+    environment_linear: Array  # (H, 2H, 3) lat-long radiance, with each lamp as one bright texel
+    sun_direction: NDArray[np.float64]  # (3,) unit, towards the sun
+    vertices: Array  # (Nv, 3) of all render geometry
+    faces: NDArray[np.int32]  # (Nf, 3)
+    radius: float  # radius of the scene
+    cameras: dict[str, Camera] = field(default_factory=dict)  # of photographs, by name
 
     @property
     def exposed(self) -> NDArray[np.float64]:
@@ -121,14 +98,7 @@ def has_truth(capture: Path) -> bool:
 
 
 def load_truth(capture: Path) -> Truth:
-    """Read the truth of a capture's test views.
-
-    Args:
-        capture: Folder that holds transforms_test.json and truth/.
-
-    Raises:
-        CaptureError: If there is no truth or it cannot be read.
-    """
+    """The truth of test views, from truth/ and transforms_test.json; or a `CaptureError`."""
     folder = capture / "truth"
     if not (folder / "scene.json").is_file():
         raise CaptureError(
@@ -196,15 +166,9 @@ def _cameras(path: Path) -> dict[str, Camera]:
 
 
 def _camera(table: dict[str, Any], camera_to_world: list[list[float]]) -> Camera:
-    return Camera(
-        width=table["w"],
-        height=table["h"],
-        fx=table["fl_x"],
-        fy=table["fl_y"],
-        cx=table["cx"],
-        cy=table["cy"],
-        camera_to_world=np.array(camera_to_world, np.float64),
-    )
+    names = {"width": "w", "height": "h", "fx": "fl_x", "fy": "fl_y", "cx": "cx", "cy": "cy"}
+    lens: dict[str, Any] = {name: table[key] for name, key in names.items()}
+    return Camera(**lens, camera_to_world=np.array(camera_to_world, np.float64))
 
 
 def _view(capture: Path, name: str, camera: Camera, photograph: Path) -> TrueView:
@@ -217,17 +181,11 @@ def _view(capture: Path, name: str, camera: Camera, photograph: Path) -> TrueVie
     size = (camera.height, camera.width)
     if {photo.shape[:2], *(channel.shape for channel in image.values())} != {size}:
         raise ValueError(f"the pictures of {name} are not of the same size as its camera")
-    return TrueView(
-        name=name,
-        camera=camera,
-        photo_display=photo,
-        albedo=_triple(image, "albedo", "RGB"),
-        roughness=image["roughness"],
-        normal=_triple(image, "normal", "XYZ"),
-        position=_triple(image, "position", "XYZ"),
-        hit=image["hit"] > 0.5,
-        sun_visibility=image["sun_visibility"],
-    )
+    axes = {"albedo": "RGB", "normal": "XYZ", "position": "XYZ"}
+    triples = {key: _triple(image, key, letters) for key, letters in axes.items()}
+    planes = {key: image[key] for key in ("roughness", "sun_visibility")}
+    known: dict[str, Any] = triples | planes | {"hit": image["hit"] > 0.5}
+    return TrueView(name=name, camera=camera, photo_display=photo, **known)
 
 
 class TooLargeError(ValueError):
@@ -235,11 +193,7 @@ class TooLargeError(ValueError):
 
 
 def read_exr(path: Path, most: int = _MAX_NUMBERS) -> dict[str, Array]:
-    """All channels of an EXR file's first part by name, (H, W) float32 each.
-
-    Raises:
-        TooLargeError: If they have more numbers than `most` together.
-    """
+    """All channels of an EXR by name, (H, W) float32; `TooLargeError` above `most` numbers."""
     with regular(path, MAX_FILE_BYTES), OpenEXR.File(str(path), header_only=True) as opened:
         header = opened.header()
         low, high = header["dataWindow"]
@@ -257,16 +211,7 @@ def _triple(image: dict[str, Array], name: str, axes: str) -> Array:
 def true_environment(
     capture: Path, scene: dict[str, Any], turn: NDArray[np.floating[Any]]
 ) -> Array:
-    """The map as rendered, turned; a lamp's irradiance is put into the texel of its direction.
-
-    Args:
-        capture: Folder that holds truth/.
-        scene: Contents of scene.json.
-        turn: (3, 3) from the truth's frame to that in which the map is wanted.
-
-    Returns:
-        (H, 2H, 3) lat-long radiance.
-    """
+    """Lat-long radiance (H, 2H, 3), turned by (3, 3), a lamp in the texel of its direction."""
     image = read_exr(capture / "truth" / "environment.exr")
     linear = np.stack([image[axis] for axis in "RGB"], axis=-1)
     rows, columns = linear.shape[:2]
@@ -308,3 +253,49 @@ def lamps_of(scene: dict[str, Any]) -> list[tuple[list[float], list[float]]]:
         return [(lamp["direction"], lamp["irradiance_rgb"]) for lamp in scene["lamps"]]
     is_lamp = scene["sun_is_lamp"]
     return [(scene["sun_direction"], scene["sun_irradiance_rgb"])] if is_lamp else []
+
+
+MOST_TEXELS = 8192 * 4096  # Blender takes sixteen bytes for each, twice while it reads them
+_MOST_RADIANCE = 1e12  # W/(m2 sr), above any light; sums of larger ones are no numbers
+_HDR_HEAD_BYTES = 1 << 16
+_HDR_SIZE = re.compile(rb"\n[-+][XY] (\d{1,9}) [-+][XY] (\d{1,9})\n")
+
+
+def refuse_light(path: Path) -> None:
+    """Refuse an .exr or .hdr that is damaged, too large or no light, by a `UsageError`."""
+    suffix = path.suffix.lower()
+    try:
+        fault = {".exr": _exr_fault, ".hdr": _hdr_fault}.get(suffix, lambda _: "")(path)
+    except TooLargeError as error:
+        fault = f"{error}, and up to 8192 by 4096 are taken"
+    except Exception as error:  # a foreign parser on foreign bytes may raise anything
+        reason = error.strerror if isinstance(error, OSError) else "it is cut off or damaged"
+        fault = f"it cannot be read ({reason})"
+    if fault:
+        raise UsageError(f"{path} is no light: {fault}; give another map with --environment")
+
+
+def _exr_fault(path: Path) -> str:
+    image = read_exr(path, 4 * MOST_TEXELS)
+    colours = {name for name in image if name.rpartition(".")[2].upper() in tuple("RGBY")}
+    if not colours:
+        return f"it has no colours, only {', '.join(sorted(image))[:80]}"
+    for name in colours:
+        if not np.isfinite(image[name]).all():
+            return f"its channel {name} holds numbers that are not finite"
+        if image[name].min() < 0 or image[name].max() > _MOST_RADIANCE:
+            low, high = image[name].min(), image[name].max()
+            return f"its channel {name} goes from {low:g} to {high:g}"
+    return ""
+
+
+def _hdr_fault(path: Path) -> str:
+    with regular(path, MAX_FILE_BYTES) as file:
+        head = file.read(_HDR_HEAD_BYTES)
+    size = _HDR_SIZE.search(head)
+    if not head.startswith(b"#?") or size is None:
+        return "its header is none of a Radiance picture"
+    first, second = int(size[1]), int(size[2])
+    if not 0 < first * second <= MOST_TEXELS:
+        return f"it has {first} by {second} texels, and up to 8192 by 4096 are taken"
+    return ""

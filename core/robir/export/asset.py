@@ -15,42 +15,29 @@ from robir.jobs.paths import STAGES, JobPaths, write_json
 from robir.jobs.records import read_record
 from robir.settings import read_toml, settings_from_table, table_from_settings
 
-REVISION = 1
-"""Raised when assets come out differently: all are then made again."""
-
+REVISION = 1  # raised when assets come out differently: all are then made again
 Made = Literal["blend", "usd"]
 
-MADE: tuple[Made, ...] = get_args(Made)
-"""Formats that are made of a finished result where they are asked for; GLB every result has."""
-
+MADE: tuple[Made, ...] = get_args(Made)  # where they are asked for; GLB every result has
 _MANIFEST = {"fingerprint": str}
 _REPORT = {"trust": {"is_trusted": bool}, "metal_share": float}
 
 _MOST_LETTERS, _MOST_TAGS = 1000, 100
 
+# tag of an object by the least share of its surface that is metal
 _KINDS = ((0.5, "metal"), (0.05, "partly metal"), (0.0, "no metal"))
-"""Tag of an object by the least share of its surface that is metal."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AssetFacts:
-    """What is known of an asset, besides what its result says.
+    """What is known of an asset, besides what its result says."""
 
-    Attributes:
-        author: Who made it.
-        licence: Under which it may be used.
-        tags: Words to find it by.
-        catalogue: Its place in the library, "/" between a catalogue and one in it; empty for none.
-        textures: "packed" into the .blend file, or beside it with a "relative" path.
-        formats: What is made: "blend" for Blender's library, "usd" beside its textures.
-    """
-
-    author: str = ""
-    licence: str = ""
-    tags: tuple[str, ...] = ()
-    catalogue: str = ""
-    textures: Literal["packed", "relative"] = "packed"
-    formats: tuple[Made, ...] = ("blend",)
+    author: str = ""  # who made it
+    licence: str = ""  # under which it may be used
+    tags: tuple[str, ...] = ()  # words to find it by
+    catalogue: str = ""  # place in the library, "/" between levels; empty for none
+    textures: Literal["packed", "relative"] = "packed"  # into the .blend, or beside it
+    formats: tuple[Made, ...] = ("blend",)  # "blend" for Blender's library, "usd"
 
     def __post_init__(self) -> None:
         """Refuse what the file of catalogues cannot say, and what is no line of text."""
@@ -68,11 +55,7 @@ class AssetFacts:
 
 
 def read_facts(path: Path) -> AssetFacts:
-    """What a TOML file says of an asset.
-
-    Raises:
-        ConfigError: If it is missing or says something else.
-    """
+    """What a TOML file says of an asset, or a `ConfigError`."""
     return settings_from_table(AssetFacts, read_toml(path), str(path))
 
 
@@ -105,21 +88,12 @@ def is_current(paths: JobPaths, facts: AssetFacts) -> bool:
 
 
 def make_asset(paths: JobPaths, facts: AssetFacts, progress: Callable[[float, str], None]) -> None:
-    """Write the formats of a finished result that are asked for, the one that takes Blender last.
-
-    Args:
-        paths: The result folder.
-        facts: What else is known of it.
-        progress: As for `robir.export.blender.run_headless`.
-
-    Raises:
-        RobirError: If Blender is missing or cannot make it.
-    """
+    """Write the formats of a finished result that are asked for, Blender's last; or RobirError."""
     others = tuple(kind for kind in facts.formats if kind != "blend")
     paths.library_facts.unlink(missing_ok=True)
     if "usd" in others:
         progress(0.0, "writing USD")
-        from robir.export.usd import write_usd  # numpy and the stages' files
+        from robir.export.gltf import write_usd  # numpy and the stages' files
 
         write_usd(paths, {"author": facts.author, "licence": facts.licence})
         write_json(paths.library_facts, _made_of(paths, replace(facts, formats=others)))
@@ -142,7 +116,6 @@ def _make_blend(paths: JobPaths, facts: AssetFacts, progress: Callable[[float, s
 
 
 def _made_of(paths: JobPaths, facts: AssetFacts) -> dict[str, Any]:
-    """What the asset depends on."""
     manifest = read_record(paths.manifest(STAGES[-1]), _MANIFEST)
     about = {"revision": REVISION, "export": manifest["fingerprint"]}
     return table_from_settings(facts) | about

@@ -31,33 +31,20 @@ _ERRORS: dict[int, type[RobirError]] = {
 _EXECUTABLE = "ROBIR_BLENDER"
 _ADDON = "ROBIR_ADDON"
 _COMMAND = "robir_scene"
-_PATIENCE = 20.0
-"""Seconds that Blender may take to end after its last report."""
-
-_FOLLOWED = "ROBIR_FOLLOWED"
-"""Tells the command that its standard input ends with whoever waits for it, and it then, too."""
-
-_THREADS = "OMP_NUM_THREADS"
-"""Tells Blender how many cores there are for it."""
-
+_PATIENCE = 20.0  # seconds that Blender may take to end after its last report
+_FOLLOWED = "ROBIR_FOLLOWED"  # tells the command to end when its standard input does
+_THREADS = "OMP_NUM_THREADS"  # tells Blender how many cores there are for it
 CURE = "install it with: pip install 'bpy>=4.5,<5.1' (Python 3.11), then run again with --resume"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
-    """What a headless command did.
+    """What a headless command did."""
 
-    Attributes:
-        files: What it wrote.
-        notes: Sentences for the user.
-        wall: Seconds on the clock.
-        cpu: User plus system seconds.
-    """
-
-    files: tuple[Path, ...]
-    notes: tuple[str, ...]
-    wall: float
-    cpu: float
+    files: tuple[Path, ...]  # what it wrote
+    notes: tuple[str, ...]  # sentences for the user
+    wall: float  # seconds on the clock
+    cpu: float  # user plus system seconds
 
 
 def missing_blender() -> str | None:
@@ -75,19 +62,11 @@ def missing_blender() -> str | None:
 
 
 def run_headless(arguments: Sequence[str], on_progress: Callable[[float, str], None]) -> Outcome:
-    """Run `python -m robir_addon.headless ARGUMENTS` and follow its progress.
+    """Run `python -m robir_addon.headless ARGUMENTS`; files written, notes and the time it took.
 
-    Args:
-        arguments: Command, result folder and options.
-        on_progress: Called with each fraction in [0, 1] and message; what it raises stops the
-            process and is raised again.
-
-    Returns:
-        Files written, notes and the time it took.
-
-    Raises:
-        DeviceError: If Blender is missing or died.
-        RobirError: With the command's own sentence if it failed, or if it said nothing at all.
+    `on_progress` gets each fraction in [0, 1] and message; what it raises stops the process and is
+    raised again. `DeviceError` if Blender is missing or died; `RobirError` with the command's own
+    sentence if it failed, or if it said nothing at all.
     """
     missing = missing_blender()
     if missing is not None:
@@ -95,17 +74,12 @@ def run_headless(arguments: Sequence[str], on_progress: Callable[[float, str], N
     command, environment = _command(arguments)
     start, before = time.monotonic(), os.times()
     last: dict[str, Any] = {}
+    how: dict[str, Any] = {"text": True, "encoding": "utf-8", "errors": "replace"}
+    how["env"] = {**environment, _FOLLOWED: "1", _THREADS: str(num_workers())}
     with (
         tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as complaints,
         subprocess.Popen(
-            command,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=complaints,
-            text=True,
-            encoding="utf-8",
-            errors="replace",
-            env={**environment, _FOLLOWED: "1", _THREADS: str(num_workers())},
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=complaints, **how
         ) as process,
     ):
         try:
@@ -134,20 +108,12 @@ def run_headless(arguments: Sequence[str], on_progress: Callable[[float, str], N
         files=tuple(Path(file) for file in last.get("files", ())),
         notes=tuple(last.get("notes", ())),
         wall=time.monotonic() - start,
-        cpu=after.children_user
-        + after.children_system
-        - before.children_user
-        - before.children_system,
+        cpu=sum(after[2:4]) - sum(before[2:4]),  # of children
     )
 
 
 def _end_of(process: subprocess.Popen[str], *, is_told: bool) -> int:
-    """Exit code of a process that has closed its reports; what hangs at its exit is ended.
-
-    Args:
-        process: Blender.
-        is_told: Whether it has said what it wrote: then all is done, however it ends.
-    """
+    """Exit code of a process that has closed its reports; one that hangs is ended."""
     try:
         return process.wait(_PATIENCE)
     except subprocess.TimeoutExpired:

@@ -10,10 +10,7 @@ from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined, Te
 
 @functools.cache
 def page_template(package: str, name: str) -> Template:
-    """A page in the `templates` of a package: what it lacks is an error, what it shows escaped.
-
-    What a page includes may lie in this package too: all pages look alike.
-    """
+    """A page of `templates` of a package or of this one: a lack is an error, what shows escaped."""
     return Environment(
         loader=ChoiceLoader([PackageLoader(package), PackageLoader("robir.export")]),
         autoescape=True,

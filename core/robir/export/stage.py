@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import re
 import time
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +13,12 @@ from robir.capture.store import load_settled
 from robir.errors import CancelledError, RobirError, StorageError
 from robir.evaluation.layers import load_textures, result_mesh, stored_exposure, stored_facts
 from robir.export.blender import Outcome, run_headless
-from robir.export.cameras import export_cameras
 from robir.export.config import ExportConfig
-from robir.export.environment import export_light
+from robir.export.exchange import export_cameras, export_light, export_tone_curve
 from robir.export.gltf import write_glb
-from robir.export.report.products import Products, Rendering
+from robir.export.report.numbers import Products, Rendering
 from robir.export.report.write import write_report
-from robir.export.tiles import parts_of, tile_textures, write_tiles
-from robir.export.tone_lut import export_tone_curve
+from robir.export.textures import parts_of, tile_textures, write_tiles
 from robir.geometry.mesh.triangles import Mesh
 from robir.jobs.context import StageContext
 from robir.jobs.paths import JobPaths
@@ -29,12 +26,8 @@ from robir.transport.observe import spread_views
 
 REVISION = 14
 
-RELIGHT_ENVIRONMENT = "city"
-"""A map with a hard sun that Blender ships and no capture of ours is lit by."""
-
-RELIT_VIEWS = 2
-"""Most views that are rendered under it."""
-
+RELIGHT_ENVIRONMENT = "city"  # a map of Blender's with a hard sun, which lit no capture of ours
+RELIT_VIEWS = 2  # most views that are rendered under it
 _RERENDER = "rerender_"
 _RELIT = f"relit_{RELIGHT_ENVIRONMENT}_"
 _LIGHTS = "light_"
@@ -49,14 +42,7 @@ _EVIDENCE = [{"of": str, "by": str, "value": float, "deviation": float}]
 
 
 def run(context: StageContext[ExportConfig]) -> dict[str, Any]:
-    """Write export/, renders/ and report/.
-
-    Args:
-        context: Paths and settings.
-
-    Returns:
-        Counts and scores for the manifest.
-    """
+    """Write export/, renders/ and report/; counts and scores for the manifest."""
     cpu, wall = time.process_time(), time.monotonic()
     paths, report = context.paths, context.reporter
     report.progress(0.0, "reading the reconstruction")
@@ -78,6 +64,8 @@ def run(context: StageContext[ExportConfig]) -> dict[str, Any]:
     rendering = _render(context, judged, tone_curve)
     cpu, wall = time.process_time(), time.monotonic()
     report.progress(_RENDER_SHARE, "writing the report")
+    of_stages = (_facts(paths, s, "choices", _CHOICES, []) for s in ("geometry", "appearance"))
+    choices = [row for rows in of_stages for row in rows]
     numbers = write_report(
         paths,
         Products(
@@ -87,9 +75,9 @@ def run(context: StageContext[ExportConfig]) -> dict[str, Any]:
             arrays=arrays,
             light=light,
             tone_curve=tone_curve,
-            choices=_choices(paths),
-            evidence=_evidence(paths),
-            last_word=_last_word(paths),
+            choices=choices,
+            evidence=_facts(paths, "appearance", "evidence", _EVIDENCE, []),
+            last_word=_facts(paths, "appearance", "last_word", _LAST_WORD, None),
             exposure=exposure,
             rendering=rendering,
             seconds=lambda: {
@@ -104,22 +92,10 @@ def run(context: StageContext[ExportConfig]) -> dict[str, Any]:
     return _manifest_metrics(mesh, rendering, numbers)
 
 
-def _choices(paths: JobPaths) -> list[dict[str, Any]]:
-    """Rows of the report's table; not every method chooses its surface."""
-    files = [paths.stage(stage) / "choices.json" for stage in ("geometry", "appearance")]
-    return [row for file in files if file.is_file() for row in stored_facts(file, _CHOICES)]
-
-
-def _evidence(paths: JobPaths) -> list[dict[str, Any]]:
-    """What tells of the light; not every method says it."""
-    file = paths.stage("appearance") / "evidence.json"
-    return stored_facts(file, _EVIDENCE) if file.is_file() else []
-
-
-def _last_word(paths: JobPaths) -> dict[str, Any] | None:
-    """What photographs object to; not every method asks them."""
-    file = paths.stage("appearance") / "last_word.json"
-    return stored_facts(file, _LAST_WORD) if file.is_file() else None
+def _facts(paths: JobPaths, stage: str, name: str, form: Any, default: Any) -> Any:
+    """Contents of a stage's file that not every method writes, or a default."""
+    file = paths.stage(stage) / f"{name}.json"
+    return stored_facts(file, form) if file.is_file() else default
 
 
 def asset_name(capture: Capture) -> str:
@@ -171,7 +147,20 @@ def _render(
             "a view transform in scene.blend: Blender has none like the recovered curve, its "
             "viewport shows Standard; our renders went through tone_curve.cube"
         )
-    return _Work(done, tuple(missing)).rendering()
+
+    def files(name: str, prefix: str) -> dict[str, Path]:
+        """Pictures by view: its name follows a prefix in the file's name."""
+        made = done[name].files if name in done else ()
+        return {file.stem.removeprefix(prefix): file for file in made}
+
+    wall, cpu = sum(one.wall for one in done.values()), sum(one.cpu for one in done.values())
+    return Rendering(
+        rerenders=files("rerender", _RERENDER),
+        relit=files("relight", _RELIT),
+        relit_with=RELIGHT_ENVIRONMENT,
+        missing=tuple(missing),
+        seconds={"wall": wall, "cpu": cpu},
+    )
 
 
 def _remove_old_renders(paths: JobPaths) -> None:
@@ -180,33 +169,6 @@ def _remove_old_renders(paths: JobPaths) -> None:
     for prefix in (_RERENDER, _RELIT, _LIGHTS):
         for file in paths.renders.glob(f"{prefix}*.png"):
             file.unlink()
-
-
-@dataclass(frozen=True, slots=True)
-class _Work:
-    """Outcomes of the headless commands that ended well."""
-
-    done: dict[str, Outcome]
-    missing: tuple[str, ...]
-
-    def files(self, name: str) -> dict[str, Path]:
-        """Pictures by view: the view's name follows the command's prefix in the file's name."""
-        prefix = {"rerender": _RERENDER, "relight": _RELIT}[name]
-        outcome = self.done.get(name)
-        files = outcome.files if outcome else ()
-        return {file.stem.removeprefix(prefix): file for file in files}
-
-    def rendering(self) -> Rendering:
-        return Rendering(
-            rerenders=self.files("rerender"),
-            relit=self.files("relight"),
-            relit_with=RELIGHT_ENVIRONMENT,
-            missing=self.missing,
-            seconds={
-                "wall": sum(outcome.wall for outcome in self.done.values()),
-                "cpu": sum(outcome.cpu for outcome in self.done.values()),
-            },
-        )
 
 
 def _manifest_metrics(mesh: Mesh, rendering: Rendering, numbers: dict[str, Any]) -> dict[str, Any]:

@@ -1,9 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Texture images of the asset, their islands grown so that filters never reach an empty texel."""
+"""Texture images of the asset, their islands grown so that filters never reach an empty texel.
+
+The atlas of a mesh with UDIM tiles is cut into them, each a texture of its own. A mesh without has
+one texture, which is treated as its only tile, without a number.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import io
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +21,10 @@ from scipy.ndimage import distance_transform_edt
 
 from robir.errors import StorageError
 from robir.evaluation.metrics import srgb_from_linear
-from robir.jobs.paths import of_tile, replacing
+from robir.evaluation.photos import read_picture, thumbnail
+from robir.geometry.mesh.tiles import cell, cells_along, tile_of_faces, within
+from robir.geometry.mesh.triangles import Mesh
+from robir.jobs.paths import JobPaths, of_tile, replacing, tiles_there
 
 Array = NDArray[np.floating[Any]]
 Codes = NDArray[np.uint8]
@@ -23,52 +32,32 @@ Codes = NDArray[np.uint8]
 _MARGIN_AT_2K = 8
 _METAL = 0.02
 
+# all files that export/textures may hold where there are no tiles
 TEXTURES = (
     "albedo.png", "albedo.exr", "roughness.png", "metallic.png", "normal.png", "coverage.png",
     "uncertainty.png",
 )  # fmt: skip
-"""All files that export/textures may hold where there are no tiles."""
-
-UNCERTAINTY_AT_255 = 1.0
-"""Standard error of log albedo that the brightest code of uncertainty.png stands for."""
+UNCERTAINTY_AT_255 = 1.0  # standard error of log albedo at the brightest code
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Textures:
-    """The asset's textures, row 0 at v = 1, islands grown.
+    """The asset's textures, row 0 at v = 1, islands grown."""
 
-    Attributes:
-        albedo_linear: (T, T, 3), linear Rec.709 in [0, 1].
-        roughness: (T, T), perceptual, in [0, 1].
-        metallic: (T, T) in [0, 1], or None if nothing is metal.
-        coverage: (T, T), share of the training views that saw the texel, in [0, 1].
-        uncertainty: (T, T), one standard error of the natural log of albedo, up to one factor a
-            channel for the whole object.
-        specular: 1 where what is no metal reflects as any paint, F0 = 0.04; 0 where it does not.
-        normal_map: (H, W, 3) codes of the tangent-space normal map that a handed-in mesh brought,
-            green towards larger v, or None.
-    """
-
-    albedo_linear: Array
-    roughness: Array
-    metallic: Array | None
-    coverage: Array
-    uncertainty: Array
-    specular: float
-    normal_map: Codes | None = None
+    albedo_linear: Array  # (T, T, 3), linear Rec.709 in [0, 1]
+    roughness: Array  # (T, T), perceptual, in [0, 1]
+    metallic: Array | None  # (T, T) in [0, 1], or None if nothing is metal
+    coverage: Array  # (T, T), share of the training views that saw the texel, in [0, 1]
+    uncertainty: Array  # (T, T), standard error of log albedo, up to one factor a channel
+    specular: float  # 1 where what is no metal has F0 = 0.04; 0 where it reflects nothing
+    normal_map: Codes | None = None  # (H, W, 3) codes of the user's, green towards larger v
 
 
 def grown(image: Array, inside: NDArray[np.bool_], margin: int) -> Array:
-    """Continue islands into the empty texels about them.
+    """Continue islands of an image (T, T) or (T, T, C) into the empty texels about them.
 
-    Args:
-        image: (T, T) or (T, T, C).
-        inside: (T, T), texels that hold something.
-        margin: Texels up to which an island grows; each takes the value of the nearest texel
-            inside. What lies further off takes the mean, so that small mip levels keep their tint.
-
-    Returns:
-        A filled copy of the image.
+    Each texel up to the margin takes the value of the nearest one `inside` (T, T). What lies
+    further off takes the mean, so that small mip levels keep their tint.
     """
     if not inside.any():
         return image.copy()
@@ -79,15 +68,7 @@ def grown(image: Array, inside: NDArray[np.bool_], margin: int) -> Array:
 
 
 def finished_textures(arrays: dict[str, Array], num_views: int) -> Textures:
-    """Grow the appearance stage's textures to what is shipped.
-
-    Args:
-        arrays: Contents of the appearance stage's textures.npz; without "specular" it is 1.
-        num_views: Number of training views, the unit of "coverage".
-
-    Returns:
-        Textures of the same size; islands grow by 8 texels, more above 2048 texels a side.
-    """
+    """Grow the appearance stage's textures by 8 texels, more above 2048 a side; as shipped."""
     inside = arrays["inside"].astype(bool)
     margin = max(_MARGIN_AT_2K, round(_MARGIN_AT_2K * inside.shape[0] / 2048))
 
@@ -106,11 +87,7 @@ def finished_textures(arrays: dict[str, Array], num_views: int) -> Textures:
 
 
 def stored_normal_map(path: Path) -> Codes | None:
-    """The normal map (H, W, 3) that the geometry stage kept, or None where it kept none.
-
-    Raises:
-        StorageError: If it is damaged.
-    """
+    """The normal map (H, W, 3) of the geometry stage, or None; a `StorageError` if damaged."""
     if not path.is_file():
         return None
     try:
@@ -125,9 +102,9 @@ def stored_normal_map(path: Path) -> Codes | None:
 def write_textures(textures: Textures, folder: Path, tile: int | None = None) -> None:
     """Write the images of export/textures, of one tile where there are such.
 
-    albedo.png is sRGB, albedo.exr linear half; roughness.png, metallic.png and normal.png are plain
-    numbers ("Non-Color"); coverage.png is the share of views and uncertainty.png the standard error
-    of log albedo, UNCERTAINTY_AT_255 at code 255.
+    albedo.png is sRGB, albedo.exr linear half; roughness, metallic and normal are "Non-Color";
+    coverage is the share of views and uncertainty the standard error of log albedo,
+    UNCERTAINTY_AT_255 at code 255.
     """
     metallic = None if textures.metallic is None else codes(textures.metallic)
     images = {
@@ -153,6 +130,13 @@ def codes(values: Array) -> Codes:
     return np.round(np.clip(values, 0.0, 1.0) * 255.0).astype(np.uint8)
 
 
+def encoded(image: Codes, **how: Any) -> bytes:
+    """Codes as the content of a picture file."""
+    stream = io.BytesIO()
+    Image.fromarray(image).save(stream, **how)
+    return stream.getvalue()
+
+
 def write_png(path: Path, image: Codes) -> None:
     """Write (H, W), (H, W, 3) or (H, W, 4) codes as PNG, atomically."""
     with replacing(path) as temporary:
@@ -165,3 +149,92 @@ def write_exr(path: Path, image_linear: NDArray[Any]) -> None:
     planes = {axis: np.ascontiguousarray(image_linear[..., i]) for i, axis in enumerate("RGB")}
     with replacing(path) as temporary:
         OpenEXR.File(header, planes).write(str(temporary))
+
+
+Array = NDArray[np.floating[Any]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Part:
+    """Faces with a texture of their own."""
+
+    tile: int | None  # number of their tile; None where there are no tiles
+    mesh: Mesh  # those faces, their texture coordinates in 0..1
+    textures: Textures  # for these
+
+
+def tile_textures(
+    arrays: dict[str, Array], tiles: NDArray[np.int32], num_views: int, normal_map: Path
+) -> tuple[Textures, ...]:
+    """Textures of each of the tiles (Nt,), or of the whole atlas; islands grow within a tile only.
+
+    What one tile has and another lacks, metal and normal maps, all get: a material reads its files
+    of all tiles by one name. `normal_map` is the user's file, as it is called without tiles; often
+    absent.
+    """
+    made = []
+    for index, number in enumerate(tiles.tolist() or [None]):
+        parts = {
+            name: cell(array, index, len(tiles)) if array.ndim else array
+            for name, array in arrays.items()
+        }
+        bumps = stored_normal_map(of_tile(normal_map, number))
+        made.append(replace(finished_textures(parts, num_views), normal_map=bumps))
+    if any(one.metallic is not None for one in made):
+        made = [
+            one if one.metallic is not None else replace(one, metallic=0 * one.roughness)
+            for one in made
+        ]
+    return tuple(made)
+
+
+def write_tiles(textures: Sequence[Textures], tiles: NDArray[np.int32], folder: Path) -> None:
+    """Write the images of export/textures, of every tile by itself, and remove those of others."""
+    numbers = tiles.tolist() or [None]
+    for number, one in zip(numbers, textures, strict=True):
+        write_textures(one, folder, number)
+    for name in TEXTURES:
+        for number in {None, *tiles_there(folder / name)} - set(numbers):
+            of_tile(folder / name, number).unlink(missing_ok=True)
+
+
+def parts_of(mesh: Mesh, textures: Sequence[Textures]) -> Iterator[Part]:
+    """The mesh tile by tile, those without faces left out."""
+    count = len(mesh.tiles)
+    if not count:
+        yield Part(tile=None, mesh=mesh, textures=textures[0])
+        return
+    tile = tile_of_faces(mesh.uvs, mesh.uv_faces, count)
+    for index, number in enumerate(mesh.tiles.tolist()):
+        chosen = tile == index
+        if not chosen.any():
+            continue
+        corners, uv_faces = np.unique(mesh.uv_faces[chosen], return_inverse=True)
+        places = within(mesh.uvs[corners], np.full(len(corners), index), count)
+        own = replace(
+            mesh,
+            faces=mesh.faces[chosen],
+            uvs=places,
+            uv_faces=uv_faces.reshape(-1, 3).astype(np.int32),
+            tiles=mesh.tiles[:0],
+        )
+        yield Part(tile=number, mesh=own, textures=textures[index])
+
+
+def shown_texture(paths: JobPaths, name: str) -> NDArray[np.uint8] | None:
+    """A texture such as "albedo" in small, its tiles row by row; None where it was not written."""
+    path = paths.textures / f"{name}.png"
+    if path.is_file():
+        return thumbnail(read_picture(path))
+    numbers = tiles_there(path)
+    if not numbers:
+        return None
+    across = cells_along(len(numbers))
+    small = [Image.fromarray(thumbnail(read_picture(of_tile(path, one)))) for one in numbers]
+    side = max(1, max(small[0].size) // across)
+    rows = -(-len(numbers) // across)
+    sheet = Image.new("RGB", (across * side, rows * side))
+    for index, picture in enumerate(small):
+        row, column = divmod(index, across)
+        sheet.paste(picture.convert("RGB").resize((side, side)), (column * side, row * side))
+    return np.asarray(sheet)

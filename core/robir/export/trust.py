@@ -28,48 +28,37 @@ from robir.transport.observe import spread_views
 
 Array = NDArray[np.floating[Any]]
 
-_MAX_VIEWS = 12
-"""Views that are looked at; more say the same."""
-
-_OUTLINE_SIDE = 400
-"""Longer side of the pictures in which outlines are compared, pixels, at most."""
-
-_UNSURE = 1.0
-"""Pixels on both sides of a mask's outline that may belong to either."""
-
+_MAX_VIEWS = 12  # views that are looked at; more say the same
+_OUTLINE_SIDE = 400  # longer side of the pictures in which outlines are compared, pixels, at most
+_UNSURE = 1.0  # pixels on both sides of a mask's outline that may belong to either
 _OBJECT = 127
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sign:
-    """One number that tells good results from bad.
+    """One number that tells good results from bad."""
 
-    Attributes:
-        limit: Where doubt begins.
-        near: Where a value deserves a look, on the good side of the limit.
-        doubtful: On which side of the limit.
-        reason: What is said to someone who knows no numbers.
-        message: What is said in doubt; `{value}` is the number.
-        cure: What the user can do.
-    """
+    limit: float  # where doubt begins
+    near: float  # where a value deserves a look, on the good side of the limit
+    reason: str  # what is said to someone who knows no numbers
+    message: str  # what is said in doubt; `{value}` is the number
+    cure: str  # what the user can do
 
-    limit: float
-    near: float
-    doubtful: Literal["below", "above"]
-    reason: str
-    message: str
-    cure: str
+    @property
+    def doubtful(self) -> Literal["below", "above"]:
+        """On which side of the limit doubt is."""
+        return "below" if self.limit < self.near else "above"
 
-    def is_doubtful(self, value: float, limit: float) -> bool:
-        """Whether the value lies on the wrong side of a limit."""
-        return value < limit if self.doubtful == "below" else value > limit
+    def is_doubtful(self, value: float) -> bool:
+        """Whether the value lies on the wrong side of the limit."""
+        return value < self.limit if self.doubtful == "below" else value > self.limit
 
 
+# what is looked at, by the name in report.json
 SIGNS: dict[str, Sign] = {
     "outline": Sign(
         limit=0.97,
         near=0.98,
-        doubtful="below",
         reason="the model's outline differs from the masks",
         message="the surface's outline and the masks overlap by only {value:.1%}",
         cure="check the masks for holes and spill, and that poses and photographs belong together",
@@ -77,7 +66,6 @@ SIGNS: dict[str, Sign] = {
     "rerender": Sign(
         limit=18.0,
         near=21.0,
-        doubtful="below",
         reason="the model does not look like photographs that it never saw",
         message="the re-render of held-out photographs reaches only {value:.1f} dB",
         cure="look at the report: what differs there the model cannot explain",
@@ -85,7 +73,6 @@ SIGNS: dict[str, Sign] = {
     "disagreement": Sign(
         limit=0.195,
         near=0.15,
-        doubtful="above",
         reason="photographs disagree about how bright the same spot is",
         message="photographs disagree about the brightness of the same spot by {value:.0%}",
         cure="lock exposure and white balance while photographing, and check the poses",
@@ -93,7 +80,6 @@ SIGNS: dict[str, Sign] = {
     "views": Sign(
         limit=3.0,
         near=5.0,
-        doubtful="below",
         reason="few photographs see each spot",
         message="a visible spot is seen by {value:.1f} photographs on average",
         cure="add photographs; 20 around the object are a good start",
@@ -101,7 +87,6 @@ SIGNS: dict[str, Sign] = {
     "clipped": Sign(
         limit=0.1,
         near=0.07,
-        doubtful="above",
         reason="parts of the object are burnt out to white",
         message="{value:.0%} of the object is burnt out to white",
         cure="photograph darker; what is clipped has no material to be read",
@@ -109,7 +94,6 @@ SIGNS: dict[str, Sign] = {
     "shown": Sign(
         limit=0.05,
         near=0.035,
-        doubtful="above",
         reason="parts of the model look worse than a plain mean of the photographs",
         message="{value:.0%} of the surface is shown worse than by the mean of its photographs",
         cure="look at the report: the light or the surface is wrong there",
@@ -117,7 +101,6 @@ SIGNS: dict[str, Sign] = {
     "rivals": Sign(
         limit=16.0,
         near=24.0,
-        doubtful="below",
         reason="the photographs fit two tone curves with different albedo",
         message="photographs fit another tone curve as well, under which albedo is another: "
         "{value:.0f} dB apart",
@@ -126,14 +109,12 @@ SIGNS: dict[str, Sign] = {
     "paint": Sign(
         limit=3.0,
         near=2.0,
-        doubtful="above",
         reason="the colour that you know contradicts the light",
         message="the paint that you know asks for a light {value:.1f} standard errors from all "
         "else that tells how bright it is",
         cure="pick a matt, bright and evenly lit spot, and check its true colour",
     ),
 }
-"""What is looked at, by the name in report.json."""
 
 
 def quality(
@@ -143,46 +124,32 @@ def quality(
     rerender: float | None,
     left_open: dict[str, float],
 ) -> dict[str, Any]:
-    """Whether the result is to be trusted.
+    """Whether the result is to be trusted, by the mesh and photographs in the capture frame.
 
-    Args:
-        capture: The photographs.
-        mesh: The surface, capture frame.
-        arrays: Textures as the appearance stage left them.
-        rerender: PSNR of our own re-render of held-out photographs in dB, None without.
-        left_open: What `rivals`, `paint` and `shown` say.
-
-    Returns:
-        "is_trusted"; "signs" by name, each "value", "limit", "doubtful" ("below" or "above");
-        "doubts": sentences, empty for a trusted result; "verdict" as `verdict` gives it.
+    `rerender` is the PSNR of our own re-render of held-out photographs in dB, None without;
+    `left_open` holds what `rivals`, `paint` and `shown` say. "is_trusted"; "signs" by name, each
+    "value", "limit", "doubtful" ("below" or "above"); "doubts": sentences, empty for a trusted
+    result; "verdict" as of `verdict`.
     """
     values = signs(capture, mesh, arrays, rerender) | left_open
-    limits = {name: SIGNS[name].limit for name in values}
     doubts = [
         f"{SIGNS[name].message.format(value=value)}; {SIGNS[name].cure}"
         for name, value in values.items()
-        if SIGNS[name].is_doubtful(value, limits[name])
+        if SIGNS[name].is_doubtful(value)
     ]
-    return {
-        "is_trusted": not doubts,
-        "doubts": doubts,
-        "verdict": verdict(values),
-        "signs": {
-            name: {"value": value, "limit": limits[name], "doubtful": SIGNS[name].doubtful}
-            for name, value in values.items()
-        },
+    found = {
+        name: {"value": value, "limit": SIGNS[name].limit, "doubtful": SIGNS[name].doubtful}
+        for name, value in values.items()
     }
+    whole = {"is_trusted": not doubts, "doubts": doubts}
+    return whole | {"verdict": verdict(values), "signs": found}
 
 
 def verdict(values: dict[str, float]) -> dict[str, str]:
-    """The result in one word, with one reason and one remedy.
+    """The result in one word by its signs, with one reason and one remedy.
 
-    Args:
-        values: Signs by name.
-
-    Returns:
-        "word": "Good", "Check this" where a sign is near its limit, or "Doubtful" where one is
-        beyond it; "reason" and "remedy" of the sign that is furthest on the way, empty if good.
+    "word": "Good", "Check this" where a sign is near its limit, or "Doubtful" where one is beyond
+    it; "reason" and "remedy" of the sign that is furthest on the way, empty if good.
     """
     way = {
         name: (value - SIGNS[name].near) / (SIGNS[name].limit - SIGNS[name].near)
@@ -192,9 +159,7 @@ def verdict(values: dict[str, float]) -> dict[str, str]:
     if way[worst] <= 0.0:
         return {"word": "Good", "reason": "", "remedy": ""}
     sign = SIGNS[worst]
-    is_doubtful = any(
-        SIGNS[name].is_doubtful(value, SIGNS[name].limit) for name, value in values.items()
-    )
+    is_doubtful = any(SIGNS[name].is_doubtful(value) for name, value in values.items())
     word = "Doubtful" if is_doubtful else "Check this"
     return {"word": word, "reason": sign.reason, "remedy": sign.cure}
 
@@ -217,24 +182,13 @@ def signs(
 
 
 def rivals(candidates: list[dict[str, Any]]) -> dict[str, float]:
-    """How far apart albedo is at most under curves that fit alike, PSNR in dB; empty without such.
-
-    Where it is as far as results are from the truth in the median, 22 dB, the wrong one of two adds
-    3 dB to the error. Alone that made no result a bad one: see the limits.
-    """
+    """PSNR in dB between albedos under curves that fit alike, the least; empty without such."""
     apart = [row["albedo_apart"] for row in candidates if row["albedo_apart"] is not None]
     return {"rivals": min(apart)} if apart else {}
 
 
 def paint(evidence: list[dict[str, Any]]) -> dict[str, float]:
-    """How many standard errors known paint is off all other evidence of the light's level.
-
-    Args:
-        evidence: Contents of the appearance stage's evidence.json.
-
-    Returns:
-        Empty where no paint is known, or nothing else tells.
-    """
+    """Standard errors from known paint to all other evidence of the light's level, if there is."""
     rows = {row["by"]: row for row in evidence if row["of"] == "level"}
     if BY_KNOWN_ALBEDO not in rows or BY_ALL not in rows:
         return {}
@@ -244,19 +198,12 @@ def paint(evidence: list[dict[str, Any]]) -> dict[str, float]:
 
 
 def shown(last_word: dict[str, Any] | None) -> dict[str, float]:
-    """Share of the surface that is shown worse than by the mean of its photographs.
-
-    Args:
-        last_word: Contents of the appearance stage's last_word.json; None where there is none.
-    """
+    """Share of the surface shown worse than by the mean of its photographs, by last_word.json."""
     return {} if last_word is None else {"shown": float(last_word["unexplained"])}
 
 
 def _outline(mesh: Mesh, views: tuple[View, ...]) -> float:
-    """Overlap of the surface as the cameras see it with the masks, all views together.
-
-    The pixels along a mask's outline do not count: on either side of it nobody knows.
-    """
+    """Overlap of surface and masks in all views, without the pixels along the masks' outlines."""
     caster = MeshCaster(mesh)
     ours, masks = [], []
     for view in views:

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from robir.capture.capture import Capture, View
-from robir.capture.checks.uneven_exposure import POWER, sight, uneven_exposures
+from robir.capture.checks.photographs import POWER, sight, uneven_exposures
 from robir.geometry.base import without_cone
 from robir.geometry.config import GeometryConfig
 from robir.geometry.fit.field import ColourNetwork, Field, restore_missing

@@ -28,7 +28,7 @@ from robir.geometry.rays import Photo, reduce_view
 from robir.geometry.refine.correlation import pixel_size
 from robir.geometry.refine.step import refine
 from robir.geometry.stereo.fusion import stereo_surface
-from robir.jobs.choice import Choice
+from robir.jobs.context import Choice
 from robir.workers import meanwhile, side_by_side
 
 STEREO, HULL, FIELD = "by depth maps", "by masks alone", "by a fit of field and colours"

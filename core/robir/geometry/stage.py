@@ -24,8 +24,7 @@ from robir.geometry.mesh.triangles import LIGHT, Mesh
 from robir.geometry.pipeline import EVENING, FINISHING, GROUND, LEVEL, Levels, finished
 from robir.geometry.remask import remasked
 from robir.geometry.selection import FIELD, Dense, refined, smooth_surface
-from robir.jobs.choice import Choice
-from robir.jobs.context import Reporter, StageContext
+from robir.jobs.context import Choice, Reporter, StageContext
 from robir.jobs.paths import of_tile, replacing, write_json
 from robir.steps import Pipeline, Step, check_left_out
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -18,30 +17,23 @@ import threading
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
 from robir.errors import CancelledError, DeviceError, StorageError, UsageError
-from robir.jobs.folder import create
-from robir.jobs.lock import holder
+from robir.jobs.folder import create, holder, is_full
 from robir.jobs.names import open_regular
 from robir.jobs.paths import JobPaths, write_json
 from robir.jobs.records import check, read_record
-from robir.jobs.request import Request
 from robir.jobs.status import Status, read_status
 
-START_ERRORS = (UsageError, StorageError, DeviceError)
-"""What `start` raises, each with a sentence for the user."""
-
+START_ERRORS = (UsageError, StorageError, DeviceError)  # each a sentence for the user
 State = Literal["none", "starting", "running", "done", "failed", "cancelled", "died"]
 
-_STARTING_SECONDS = 120.0
-"""Longest time between the start of a worker and its lock, unless it is a child of this process."""
-
+_STARTING_SECONDS = 120.0  # until a worker that is no child of ours has its lock
 _LOG_LINES = 30
 _NICENESS = 10
-_FULL_BELOW_BYTES = 1 << 20
 
 _TAIL_BYTES = 1 << 20
 
@@ -49,35 +41,62 @@ _WORKER = {"started": float, "pid": (None, int), "status_before?": (None, float)
 _RUN = {"warnings?": [{"message": str}]}
 _FAILED = {"kind": str, "message?": str, "exit_code?": int}
 
-_children: dict[Path, subprocess.Popen[Any]] = {}
-"""Workers that this process started, by result folder."""
+_children: dict[Path, subprocess.Popen[Any]] = {}  # by result folder
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Request:
+    """What to reconstruct; every path is absolute."""
+
+    capture: Path  # folder or file of the capture
+    out: Path  # result folder; an unfinished one is continued
+    preset: str = "draft"  # how much work to do
+    device: str = "auto"  # "auto", "cpu" or "cuda"
+    masks: Path | None = None  # folder of masks, or None for the capture's own
+    box: tuple[float, ...] = ()  # where the object is, as `capture.box`; empty to look for it
+    skips_missing: bool = False  # whether photographs that are not there are done without
+    left_out: tuple[str, ...] = ()  # photographs to do without, as the setting `capture.leave_out`
+    mesh: Path | None = None  # mesh that takes the place of a surface of the engine's, or None
+    settings: tuple[str, ...] = ()  # further items of `--set`
+    asset: Path | None = None  # file of facts of an asset to be made, or None
+    until: str = ""  # stage after which the run ends; empty for the last
+
+    def words(self) -> list[str]:
+        """The command line without the program."""
+        masks = [] if self.masks is None else ["--masks", str(self.masks)]
+        choices = ["--preset", self.preset, "--device", self.device]
+        choices += [] if self.mesh is None else ["--mesh", str(self.mesh)]
+        asset = [] if self.asset is None else ["--asset", str(self.asset)]
+        until = ["--until", self.until] if self.until else []
+        return [
+            "reconstruct", str(self.capture), "-o", str(self.out), *choices, *masks, *asset, *until,
+            *self.choice_words(), *(word for item in self.settings for word in ("--set", item)),
+            "--resume", "--progress", "json",
+        ]  # fmt: skip
+
+    def choice_words(self) -> list[str]:
+        """What says which photographs take part and where the object is; `check` takes it too."""
+        names = json.dumps(self.left_out, ensure_ascii=False)
+        return [
+            *(["--set", f"capture.box={list(map(float, self.box))}"] if self.box else []),
+            *(["--skip-missing"] if self.skips_missing else []),
+            *(["--set", f"capture.leave_out={names}"] if self.left_out else []),
+        ]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Snapshot:
-    """Where a reconstruction stands.
+    """Where a reconstruction stands."""
 
-    Attributes:
-        state: "none" where nothing was ever begun, "died" where the worker ended without a word.
-        stage: Stage at work or last at work; empty before the first.
-        fraction: Share of the run that is done, in [0, 1].
-        message: What is being done, or the sentence that says why it ended.
-        seconds_left: Estimated seconds to the end, or None.
-        metrics: Latest metrics by name.
-        exit_code: Of the ended worker, or None where it is not known.
-        warnings: Sentences about what lowers the result.
-        log: Last lines of the log for people, where the run ended badly.
-    """
-
-    state: State
-    stage: str = ""
-    fraction: float = 0.0
-    message: str = ""
-    seconds_left: float | None = None
-    metrics: Mapping[str, Any] = field(default_factory=dict)
-    exit_code: int | None = None
-    warnings: tuple[str, ...] = ()
-    log: tuple[str, ...] = ()
+    state: State  # "none" before any run, "died" where the worker ended without a word
+    stage: str = ""  # stage at work or last at work; empty before the first
+    fraction: float = 0.0  # share of the run that is done, in [0, 1]
+    message: str = ""  # what is being done, or the sentence that says why it ended
+    seconds_left: float | None = None  # estimated seconds to the end, or None
+    metrics: Mapping[str, Any] = field(default_factory=dict)  # latest metrics by name
+    exit_code: int | None = None  # of the ended worker, or None where it is not known
+    warnings: tuple[str, ...] = ()  # sentences about what lowers the result
+    log: tuple[str, ...] = ()  # last lines of the log for people, where the run ended badly
 
     @property
     def is_live(self) -> bool:
@@ -88,15 +107,10 @@ class Snapshot:
 def start(program: Sequence[str], request: Request, environment: Mapping[str, str]) -> None:
     """Start a worker that goes on when this process ends, and gives way to other work.
 
-    Args:
-        program: Words before those of the request, such as PYTHON -P -m robir.
-        request: What to do.
-        environment: All variables of the worker.
-
-    Raises:
-        UsageError: If the result folder holds other things, or a worker is at work in it.
-        StorageError: If nothing can be written there.
-        DeviceError: If the program cannot be run.
+    `program` is the words before those of the request, such as PYTHON -P -m robir, and
+    `environment` all variables of the worker. `UsageError` if the result folder holds other things
+    or a worker is at work in it, `StorageError` if nothing can be written there, `DeviceError` if
+    the program cannot be run.
     """
     paths = JobPaths(request.out)
     create(paths)
@@ -112,16 +126,8 @@ def start(program: Sequence[str], request: Request, environment: Mapping[str, st
     try:
         paths.cancel.unlink(missing_ok=True)
         write_json(paths.worker, begun)
-        with paths.worker_log.open("wb") as log:
-            process = subprocess.Popen(
-                [*program, *request.words()],
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=subprocess.STDOUT,
-                cwd=request.out,
-                env=dict(environment),
-                **detached(),
-            )
+        words = [*program, *request.words()]
+        process = spawn(words, request.out, paths.worker_log, environment)
     except OSError as error:
         if error.filename == program[0]:
             raise DeviceError(
@@ -132,8 +138,9 @@ def start(program: Sequence[str], request: Request, environment: Mapping[str, st
             "choose another result folder"
         ) from error
     _children[request.out] = process
-    threading.Thread(target=process.wait, name="RobIR worker", daemon=True).start()
-    _give_way(process.pid)
+    if sys.platform != "win32":
+        with suppress(OSError):  # the programs in front of the user go first
+            os.setpriority(os.PRIO_PROCESS, process.pid, _NICENESS)
     with suppress(OSError):  # the number only helps others to tell a slow start from a death
         write_json(paths.worker, begun | {"pid": process.pid})
 
@@ -153,14 +160,8 @@ def snapshot(root: Path) -> Snapshot:
         return Snapshot(state="none")
     is_current = status is not None and status.heartbeat != begun.get("status_before")
     if status is not None and is_current:
-        known = Snapshot(
-            state="running",
-            stage=status.stage,
-            fraction=status.fraction,
-            message=status.message,
-            seconds_left=status.seconds_left,
-            metrics=status.metrics,
-        )
+        shared = ("stage", "fraction", "message", "seconds_left", "metrics")
+        known = Snapshot(state="running", **{key: getattr(status, key) for key in shared})
         if status.state != "running":
             _reap(root, 0.0)
             return _ended(paths, known, status.state, status.message, status.exit_code)
@@ -184,9 +185,7 @@ def request_cancel(root: Path) -> None:
 def stop(root: Path, *, is_forced: bool = False) -> None:
     """End the worker without waiting for its next step.
 
-    Args:
-        root: Result folder.
-        is_forced: Whether to give it no chance to end in good order; its own children go with it.
+    Forced, it gets no chance to end in good order, and its own children go with it.
     """
     child = _children.get(root)
     # The lock names the process that holds it, so no stranger with a used-up number is hit.
@@ -212,11 +211,17 @@ def detached() -> dict[str, Any]:
     return {"start_new_session": True}
 
 
-def _give_way(pid: int) -> None:
-    """Let the programs in front of the user go first; threads begun later do so too."""
-    if sys.platform != "win32":
-        with suppress(OSError):
-            os.setpriority(os.PRIO_PROCESS, pid, _NICENESS)
+def spawn(
+    words: Sequence[str], folder: Path, log: Path, environment: Mapping[str, str]
+) -> subprocess.Popen[Any]:
+    """Start a process in a folder that goes on when this one ends, and prints to a log."""
+    how = detached() | {"stdin": subprocess.DEVNULL, "env": dict(environment)}
+    with log.open("wb") as file:
+        process = subprocess.Popen(
+            list(words), stdout=file, stderr=subprocess.STDOUT, cwd=folder, **how
+        )
+    threading.Thread(target=process.wait, name="RobIR worker", daemon=True).start()
+    return process
 
 
 def _is_starting(root: Path, begun: Mapping[str, Any]) -> bool:
@@ -253,16 +258,13 @@ def _reap(root: Path, seconds: float) -> int | None:
 def _ended(
     paths: JobPaths, known: Snapshot, state: State, message: str, exit_code: int | None
 ) -> Snapshot:
-    return Snapshot(
-        state=state,
-        stage=known.stage,
-        fraction=known.fraction,
-        message=message,
-        metrics=known.metrics,
-        exit_code=exit_code,
-        warnings=_warnings(paths),
-        log=() if state == "done" else _log_tail(paths),
-    )
+    found = _read(paths.run, _RUN).get("warnings", ())
+    facts: dict[str, Any] = {
+        "warnings": tuple(warning["message"] for warning in found),
+        "exit_code": exit_code,
+    }
+    facts["log"] = () if state == "done" else _log_tail(paths)
+    return replace(known, state=state, message=message, seconds_left=None, **facts)
 
 
 def _without_a_word(paths: JobPaths, known: Snapshot, code: int | None) -> Snapshot:
@@ -276,7 +278,7 @@ def _without_a_word(paths: JobPaths, known: Snapshot, code: int | None) -> Snaps
         return _ended(paths, known, "cancelled", "stopped on request", code)
     again = "press Reconstruct to go on from the last finished stage"
     words = [line for line in printed if not line.startswith("{")]
-    if _is_full(paths.root):
+    if is_full(paths.root):
         message = f"the disk of {paths.root} is full; make room, then {again}"
     elif not known.stage and code is not None and code > 0:
         said = words[-1] if words else f"it ended with code {code}"
@@ -303,7 +305,6 @@ def _tail(path: Path) -> list[str]:
 
 
 def _failure(printed: Sequence[str]) -> dict[str, Any] | None:
-    """The last sentence of a worker that could say why it ended."""
     for line in reversed(printed):
         try:
             event = json.loads(line)
@@ -324,11 +325,6 @@ def _log_tail(paths: JobPaths) -> tuple[str, ...]:
     return tuple([*log, *words][-_LOG_LINES:])
 
 
-def _warnings(paths: JobPaths) -> tuple[str, ...]:
-    found = _read(paths.run, _RUN).get("warnings", ())
-    return tuple(warning["message"] for warning in found)
-
-
 def _read(path: Path, form: Any) -> dict[str, Any]:
     """Contents of a JSON file; nothing where it is missing or damaged."""
     try:
@@ -342,10 +338,3 @@ def _read_status(paths: JobPaths) -> Status | None:
         return read_status(paths.status)
     except (OSError, ValueError):
         return None
-
-
-def _is_full(root: Path) -> bool:
-    try:
-        return shutil.disk_usage(root).free < _FULL_BELOW_BYTES
-    except OSError:
-        return False

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -16,15 +16,7 @@ class Reporter(Protocol):
     """Where a stage says how far it is."""
 
     def progress(self, fraction: float, message: str) -> None:
-        """Report progress of the running stage.
-
-        Args:
-            fraction: Share of the stage's work that is done, in [0, 1].
-            message: What is being done, a few words.
-
-        Raises:
-            CancelledError: If the user asked the run to stop.
-        """
+        """Report a share in [0, 1] and what is being done; `CancelledError` if asked to stop."""
 
     def warn(self, message: str) -> None:
         """Tell the user something that lowers the result but does not stop the run."""
@@ -35,24 +27,29 @@ class Reporter(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StageContext(Generic[ConfigT]):
-    """Everything a stage may depend on besides the files of the stages before it.
+    """Everything a stage may depend on besides the files of the stages before it."""
 
-    Attributes:
-        paths: Names of the result folder's files.
-        config: The stage's own configuration.
-        source: Capture as given by the user; read by the capture stage only.
-        masks: Folder of masks given by the user, or None; read by the capture stage only.
-        seed: Seed of every random generator of the stage.
-        device: Torch device, "cpu" or "cuda".
-        reporter: Progress, warnings and the request to stop.
-        mesh: Mesh given by the user, or None; read by the stages capture and geometry.
-    """
+    paths: JobPaths  # names of the result folder's files
+    config: ConfigT  # the stage's own configuration
+    source: Path  # capture as given by the user; read by the capture stage only
+    masks: Path | None  # folder of masks given by the user, or None; read by the capture stage only
+    seed: int  # seed of every random generator of the stage
+    device: str  # torch device, "cpu" or "cuda"
+    reporter: Reporter  # progress, warnings and the request to stop
+    mesh: Path | None = None  # of the user; for the stages capture and geometry
 
-    paths: JobPaths
-    config: ConfigT
-    source: Path
-    masks: Path | None
-    seed: int
-    device: str
-    reporter: Reporter
-    mesh: Path | None = None
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Choice:
+    """What the model is made of in one respect, and why."""
+
+    choice: str  # what there was to choose
+    chosen: str | float  # what was taken
+    alternatives: tuple[str | float, ...]  # what else there was
+    why: str  # the rule with its figures, in words
+    held_out_error: float | None = None  # on data held out, where that decided
+    cost_seconds: float | None = None  # processor time of the choice, where it was measured
+
+    def plain(self) -> dict[str, Any]:
+        """As JSON has it."""
+        return asdict(self)

@@ -5,26 +5,21 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import threading
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from robir.jobs.client import detached
-from robir.jobs.folder import special_fault
-from robir.jobs.lock import holder
+from robir.jobs.client import spawn
+from robir.jobs.folder import holder, special_fault
 from robir.jobs.names import UnsafeNameError, file_in
-from robir.jobs.paths import JobPaths
+from robir.jobs.paths import JobPaths, Named
 from robir.jobs.records import read_record
 
 Format = Literal["glb", "usd", "blend"]
 
-FORMATS: tuple[Format, ...] = get_args(Format)
-"""What a library may offer of each result."""
-
+FORMATS: tuple[Format, ...] = get_args(Format)  # what a library may offer of each result
 _STATE = {
     "fraction": float, "seconds_left": (None, float),
     "captures": [{"name": str, "state": str, "fraction": float, "message": str}],
@@ -33,48 +28,17 @@ _STATE = {
 
 @dataclass(frozen=True, slots=True)
 class LibraryPaths:
-    """Names of a library's files; nothing else may spell them.
+    """Names of a library's files; nothing else may spell them."""
 
-    Attributes:
-        root: The library, LIBRARY on the command line.
-    """
+    root: Path  # the library, LIBRARY on the command line
 
-    root: Path
-
-    @property
-    def plan(self) -> Path:
-        """What is to be reconstructed, all paths relative."""
-        return self.root / "plan.json"
-
-    @property
-    def state(self) -> Path:
-        """Where the batch stands; replaced as a whole."""
-        return self.root / "batch.json"
-
-    @property
-    def lock(self) -> Path:
-        """Held by the one batch that works on the whole library."""
-        return self.root / "batch.lock"
-
-    @property
-    def page(self) -> Path:
-        """The contact sheet."""
-        return self.root / "index.html"
-
-    @property
-    def catalogues(self) -> Path:
-        """Catalogues of Blender's asset library; Blender wants this name."""
-        return self.root / "blender_assets.cats.txt"
-
-    @property
-    def openjd(self) -> Path:
-        """Job bundle for render farms."""
-        return self.root / "openjd"
-
-    @property
-    def own(self) -> Path:
-        """The batch's own small files."""
-        return self.root / ".batch"
+    plan = Named("plan.json")  # what is to be reconstructed, all paths relative
+    state = Named("batch.json")  # where the batch stands; replaced as a whole
+    lock = Named("batch.lock")  # held by the one batch that works on the whole library
+    page = Named("index.html")  # the contact sheet
+    catalogues = Named("blender_assets.cats.txt")  # the name that Blender wants
+    openjd = Named("openjd")  # job bundle for render farms
+    own = Named(".batch")  # the batch's own small files
 
     @property
     def taken(self) -> frozenset[str]:
@@ -83,45 +47,25 @@ class LibraryPaths:
         return frozenset(file.name for file in (*files, self.own))
 
     def result(self, name: str) -> JobPaths:
-        """Result folder of a capture.
-
-        Raises:
-            UnsafeNameError: If the name leads elsewhere.
-        """
+        """Result folder of a capture; an `UnsafeNameError` if the name leads elsewhere."""
         return JobPaths(file_in(self.root, name))
 
     def facts(self, name: str) -> Path:
         """What is known of a capture's asset: author, licence, tags."""
         return file_in(self.own, f"{name}.toml")
 
-    @property
-    def dropped(self) -> Path:
-        """Touch a file of a capture's name in this folder to have the batch leave that out."""
-        return self.own / "dropped"
-
-    @property
-    def preferred(self) -> Path:
-        """Files of captures' names in this folder come first, the one touched last before all."""
-        return self.own / "preferred"
+    dropped = Named(".batch/dropped")  # a file of a capture's name here leaves that out
+    preferred = Named(".batch/preferred")  # captures of these names first, the last touched first
 
 
 def refuse_strange(paths: LibraryPaths, results: Iterable[str] = ()) -> None:
-    """Refuse a library whose own files, or results of some names, are links out of it or pipes.
-
-    Raises:
-        UnsafeNameError: Names the first of what does not belong there.
-    """
+    """Refuse (`UnsafeNameError`) a library whose files or results are links out of it or pipes."""
     if fault := special_fault(paths.root, {*paths.taken, *results}):
         raise UnsafeNameError(fault)
 
 
 def read_batch(paths: LibraryPaths) -> dict[str, Any]:
-    """Where the batch stands: "fraction", "seconds_left" and "captures" in the plan's order.
-
-    Raises:
-        OSError: If there is none.
-        ValueError: If it is damaged; or see `refuse_strange`.
-    """
+    """Where the batch stands: "fraction", "seconds_left", "captures"; OSError or ValueError."""
     refuse_strange(paths)
     return read_record(paths.state, _STATE)
 
@@ -134,30 +78,14 @@ def start_batch(
 ) -> None:
     """Start a batch that goes on when this process ends; what it says is in its log.
 
-    Args:
-        program: Words before those of the command, such as PYTHON -P -m robir.
-        sources: Captures or a plan, absolute; none goes on with the library's own.
-        paths: The library, absolute.
-        environment: All variables.
-
-    Raises:
-        OSError: If the program cannot be run, or the library cannot be written.
-        UnsafeNameError: See `refuse_strange`.
+    `sources` are captures or a plan, absolute; without any the library's own goes on. `program` and
+    `environment` are as for `client.start`. `OSError` if the program cannot be run, or the library
+    cannot be written; or see `refuse_strange`.
     """
     refuse_strange(paths)
     paths.own.mkdir(parents=True, exist_ok=True)
     words = ["batch", *sources, "-o", str(paths.root), "--resume", "--progress", "plain"]
-    with (paths.own / "log.txt").open("wb") as log:
-        process = subprocess.Popen(
-            [*program, *words],
-            stdin=subprocess.DEVNULL,
-            stdout=log,
-            stderr=subprocess.STDOUT,
-            cwd=paths.root,
-            env=dict(environment),
-            **detached(),
-        )
-    threading.Thread(target=process.wait, name="RobIR batch", daemon=True).start()
+    spawn([*program, *words], paths.root, paths.own / "log.txt", environment)
 
 
 def stop_batch(paths: LibraryPaths) -> None:
@@ -169,22 +97,12 @@ def stop_batch(paths: LibraryPaths) -> None:
 
 
 def drop(paths: LibraryPaths, name: str) -> None:
-    """Have the batch leave a capture out.
-
-    Raises:
-        OSError: If that cannot be noted.
-        UnsafeNameError: If the name leads elsewhere, or see `refuse_strange`.
-    """
+    """Have the batch leave a capture out; an `OSError` if that cannot be noted."""
     _touch(paths, paths.dropped, name)
 
 
 def prefer(paths: LibraryPaths, name: str) -> None:
-    """Have a batch on this machine do a capture before all others that wait.
-
-    Raises:
-        OSError: If that cannot be noted.
-        UnsafeNameError: If the name leads elsewhere, or see `refuse_strange`.
-    """
+    """Have a batch here do a capture before all that wait; an `OSError` if that cannot be noted."""
     _touch(paths, paths.preferred, name)
 
 

@@ -11,16 +11,15 @@ import errno
 import os
 import re
 import stat
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import BinaryIO
 
-MAX_NAME_BYTES = 240
-"""Longest name of a file that every usual file system takes, with room for a suffix of ours."""
-
+MAX_NAME_BYTES = 240  # that every usual file system takes, with room for a suffix of ours
 _CONTROL = re.compile("[\0-\x1f\x7f]")
 
-MAX_PATH_BYTES = 4000
-"""Longest path that Linux takes, with room for a file name."""
+MAX_PATH_BYTES = 4000  # longest path that Linux takes, with room for a file name
 
 
 class UnsafeNameError(ValueError):
@@ -28,17 +27,7 @@ class UnsafeNameError(ValueError):
 
 
 def checked_name(name: str) -> str:
-    """A name or path that the operating system can be asked for, wherever it leads.
-
-    Args:
-        name: As a file holds it, "/" or a backslash between folders.
-
-    Returns:
-        The name itself.
-
-    Raises:
-        UnsafeNameError: If it holds characters that no name may have, or is too long.
-    """
+    """A name or path that the system can be asked for, wherever it leads; `UnsafeNameError`."""
     try:
         size = len(name.encode("utf-8"))
     except UnicodeEncodeError:
@@ -55,18 +44,7 @@ def checked_name(name: str) -> str:
 
 
 def file_in(folder: Path, name: str) -> Path:
-    """The file of a name directly in a folder.
-
-    Args:
-        folder: Where it has to lie.
-        name: File name, no path.
-
-    Returns:
-        Its path; whether it exists is not looked at.
-
-    Raises:
-        UnsafeNameError: If the name is none, or would lie elsewhere.
-    """
+    """The file of a name directly in a folder, there or not; `UnsafeNameError` elsewhere."""
     if not isinstance(name, str):
         raise UnsafeNameError(f"a name is {type(name).__name__} instead of text")
     checked_name(name)
@@ -77,31 +55,14 @@ def file_in(folder: Path, name: str) -> Path:
 
 
 def leads_out(path: Path, folders: Iterable[Path]) -> bool:
-    """Whether a path lies in none of some folders, once all links are followed.
-
-    Args:
-        path: What is to be read; it need not exist.
-        folders: Where it may lie.
-    """
+    """Whether a path, there or not, lies in none of some folders once all links are followed."""
     real = os.path.realpath(path)
     homes = (os.path.realpath(folder) for folder in folders)
     return not any(real == home or real.startswith(home.rstrip(os.sep) + os.sep) for home in homes)
 
 
 def open_regular(path: Path, flags: int = os.O_RDONLY, *, follows_links: bool = True) -> int:
-    """Open a file if it is a regular one: no pipe, no device, no folder.
-
-    Args:
-        path: File.
-        flags: How it is opened; one that is to be made may be missing.
-        follows_links: Whether it may be a link.
-
-    Returns:
-        The operating system's handle, for `os.fdopen` or `open`.
-
-    Raises:
-        OSError: If it cannot be opened or is anything else.
-    """
+    """Handle of a regular file for `os.fdopen`, which flags may make; for all else an OSError."""
     flags |= getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
     flags |= 0 if follows_links else getattr(os, "O_NOFOLLOW", 0)
     # a device may do something merely by being opened, so it is looked at first as well
@@ -122,17 +83,22 @@ def _refuse_irregular(found: os.stat_result, path: Path) -> None:
 
 
 def read_regular(path: Path, most: int) -> bytes:
-    """Contents of a regular file of sane size.
-
-    Args:
-        path: File; links are followed.
-        most: Bytes it may have.
-
-    Raises:
-        OSError: If it cannot be read, is anything else, or is larger.
-    """
+    """Contents of a regular file of up to so many bytes, links followed; else an `OSError`."""
     with os.fdopen(open_regular(path), "rb") as file:
         content = file.read(most + 1)
     if len(content) > most:
         raise OSError(errno.EFBIG, f"it is larger than {most} bytes", str(path))
     return content
+
+
+MAX_POSES_BYTES = 1 << 28  # of a file of poses; those of thousands of photographs have a tenth
+
+
+@contextmanager
+def regular(path: Path, most: int = MAX_POSES_BYTES) -> Iterator[BinaryIO]:
+    """A regular file of sane size, opened for reading; everything a capture holds is read by it."""
+    with os.fdopen(open_regular(path), "rb") as file:
+        size = os.fstat(file.fileno()).st_size
+        if size > most:
+            raise OSError(f"{path.name} has {size} bytes; at most {most} are read")
+        yield file

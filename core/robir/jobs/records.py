@@ -17,18 +17,15 @@ from typing import Any
 
 from robir.jobs.names import read_regular
 
-MAX_BYTES = 1 << 26
-"""Largest JSON file of a result that is read; they have a few thousand bytes."""
-
+MAX_BYTES = 1 << 26  # largest JSON file of a result that is read; they have a few thousand bytes
 NUMBERS = [float]
 MATRIX = [NUMBERS]
 
+# a view of capture.json or cameras.json
 CAMERA = {
     "name": str, "split": str, "width": int, "height": int,
     "fx": float, "fy": float, "cx": float, "cy": float, "camera_to_world": MATRIX,
 }  # fmt: skip
-"""A view of capture.json or cameras.json."""
-
 _NAMES = {str: "text", float: "a number", int: "a whole number", bool: "true or false"}
 _NAMES |= {dict: "a table", list: "a list", type(None): "null"}
 
@@ -38,18 +35,10 @@ class DamagedFileError(ValueError):
 
 
 def read_record(path: Path, form: Any) -> Any:
-    """Contents of a JSON file that fit a form.
+    """Contents of a JSON file that fit a form: no text that is none, no number that is infinite.
 
-    Args:
-        path: The file.
-        form: What it has to hold.
-
-    Returns:
-        Plain values that can be written again: no text that is none, no number that is infinite.
-
-    Raises:
-        OSError: If it cannot be read, is no regular file or too large.
-        ValueError: If it is no JSON, or holds something else; then a `DamagedFileError`.
+    `OSError` if it cannot be read, is no regular file or too large; `ValueError` if it is no JSON,
+    or holds something else, then a `DamagedFileError`.
     """
     content = read_regular(path, MAX_BYTES)
     try:
@@ -70,16 +59,7 @@ def _finite(text: str) -> float:
 
 
 def check(value: Any, form: Any, where: str) -> None:
-    """Refuse a value that does not fit a form.
-
-    Args:
-        value: Plain values.
-        form: See the module.
-        where: What it is, for the message.
-
-    Raises:
-        DamagedFileError: If it does not fit.
-    """
+    """Refuse a plain value, called `where`, that does not fit a form (`DamagedFileError`)."""
     if isinstance(form, tuple):
         if not any(_fits(value, one) for one in form):
             raise DamagedFileError(f"{where} is {_named(value)}")

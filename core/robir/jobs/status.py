@@ -24,38 +24,21 @@ Kind = Literal["started", "skipped", "progress", "metric", "warning", "finished"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Status:
-    """Latest state of a run.
+    """Latest state of a run."""
 
-    Attributes:
-        state: "running" also when the process died; see `heartbeat` and `pid`.
-        stage: Stage at work or last at work; empty before the first.
-        fraction: Share of the whole run that is done, in [0, 1].
-        message: What is being done, or the sentence that says why the run ended.
-        seconds_left: Estimated wall seconds to the end; None while nothing is known.
-        exit_code: What the process exits with; None while it runs.
-        pid: Process that writes this.
-        heartbeat: Unix time of this writing, seconds.
-        metrics: Latest value by name, of the finished stages and of the one at work.
-    """
-
-    state: State
-    stage: str
-    fraction: float
-    message: str
-    seconds_left: float | None
-    exit_code: int | None
-    pid: int
-    heartbeat: float
-    metrics: Mapping[str, Any] = field(default_factory=dict)
+    state: State  # "running" also when the process died; see `heartbeat` and `pid`
+    stage: str  # stage at work or last at work; empty before the first
+    fraction: float  # share of the whole run that is done, in [0, 1]
+    message: str  # what is being done, or the sentence that says why the run ended
+    seconds_left: float | None  # estimated wall seconds to the end; None while nothing is known
+    exit_code: int | None  # what the process exits with; None while it runs
+    pid: int  # process that writes this
+    heartbeat: float  # Unix time of this writing, seconds
+    metrics: Mapping[str, Any] = field(default_factory=dict)  # latest values by name
 
 
 def read_status(path: Path) -> Status:
-    """Read what `StatusWriter` wrote, also one of another version.
-
-    Raises:
-        OSError: If there is none.
-        ValueError: If it is damaged.
-    """
+    """Read what `StatusWriter` of any version wrote; OSError without, ValueError if damaged."""
     plain = read_record(path, _FORM)
     if plain["state"] not in get_args(State):
         raise DamagedFileError(f"{path.name} states {plain['state'][:40]!r}")
@@ -96,16 +79,7 @@ class StatusWriter:
         write_json(self._paths.status, asdict(status))
 
     def event(self, kind: Kind, stage: str, **facts: Any) -> dict[str, Any]:
-        """Append one line to `events.jsonl`.
-
-        Args:
-            kind: What happened.
-            stage: Stage it happened in; empty for the run as a whole.
-            **facts: Plain values that belong to it; they may not be named time, kind or stage.
-
-        Returns:
-            The event as written.
-        """
+        """Append one line to `events.jsonl`; the stage is "" for the run as a whole."""
         event = {"time": round(time.time(), 3), "kind": kind, "stage": stage, **facts}
         line = json.dumps(event, ensure_ascii=False) + "\n"
         with self._paths.events.open("a", encoding="utf-8") as file:

@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Chooses the device and how many threads work side by side, and says what they are."""
+"""The machine: its device and threads, its memory, and what a stage costs of it."""
 
 from __future__ import annotations
 
+import ctypes
 import os
 import platform
 import sys
+import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -16,45 +18,28 @@ from robir.workers import use_workers
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Execution:
-    """What a run works with; no part of any fingerprint.
+    """What a run works with; no part of any fingerprint."""
 
-    Attributes:
-        device: Torch device, "cpu" or "cuda".
-        threads: That work side by side, see `robir.workers`.
-    """
-
-    device: str
-    threads: int
+    device: str  # torch device, "cpu" or "cuda"
+    threads: int  # that work side by side, see `robir.workers`
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Machine:
-    """What a device is.
+    """What a device is."""
 
-    Attributes:
-        name: Of the processor or the graphics card.
-        memory_bytes: All its memory; 0 if unknown.
-        free_memory_bytes: What a new process can have of it; 0 if unknown.
-    """
-
-    name: str
-    memory_bytes: int
-    free_memory_bytes: int
+    name: str  # of the processor or the graphics card
+    memory_bytes: int  # all its memory; 0 if unknown
+    free_memory_bytes: int  # what a new process can have of it; 0 if unknown
 
 
 def choose_execution(asked: Literal["cpu", "cuda", "auto"], threads: int | None) -> Execution:
-    """The device to work on; also sets the number of threads.
+    """The device to work on; also sets the number of threads, None for all cores there are.
 
     An operation of torch has one thread, whatever their number: sums split over threads come out
     otherwise, and operations of a fit are so short that waking a second one costs more than it
-    saves.
-
-    Args:
-        asked: "auto" takes a CUDA device where there is one.
-        threads: That work side by side; None takes all cores there are.
-
-    Raises:
-        DeviceError: If CUDA is asked for and there is none.
+    saves. "auto" takes a CUDA device where there is one; `DeviceError` if it is asked for and there
+    is none.
     """
     import torch
 
@@ -100,11 +85,7 @@ def _why_no_cuda() -> str:
 
 def _processor() -> str:
     cores = f"{os.cpu_count()} cores"
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        lines = []
-    models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    models = _told("/proc/cpuinfo", "model name")
     name = models[0] if models else platform.processor() or platform.machine()
     return f"{name}, {cores}"
 
@@ -114,16 +95,20 @@ def _main_memory() -> tuple[int, int]:
     if sys.platform == "win32":
         return _windows_memory()
     total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    available = _told("/proc/meminfo", "MemAvailable")
+    return total, 1024 * int(available[0].split()[0]) if available else 0
+
+
+def _told(file: str, key: str) -> list[str]:
+    """Values of a key in a file of Linux; none on other systems."""
     try:
-        lines = Path("/proc/meminfo").read_text(encoding="utf-8").splitlines()
+        lines = Path(file).read_text(encoding="utf-8").splitlines()
     except OSError:
-        return total, 0
-    available = [int(line.split()[1]) for line in lines if line.startswith("MemAvailable")]
-    return total, 1024 * available[0] if available else 0
+        return []
+    return [line.partition(":")[2].strip() for line in lines if line.startswith(key)]
 
 
 def _windows_memory() -> tuple[int, int]:
-    """As `_main_memory`, from GlobalMemoryStatusEx."""
     import ctypes
 
     # dwLength and dwMemoryLoad share the first eight bytes; seven sizes of eight bytes follow
@@ -131,3 +116,56 @@ def _windows_memory() -> tuple[int, int]:
     if not ctypes.windll.kernel32.GlobalMemoryStatusEx(status):  # type: ignore[attr-defined]
         return 0, 0
     return status[1], status[2]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Usage:
+    """Clock readings of this process and the children it has waited for."""
+
+    wall: float  # monotonic clock, seconds
+    cpu: float  # user plus system time, seconds
+
+    @classmethod
+    def now(cls) -> Usage:
+        """Read the clocks."""
+        times = os.times()
+        cpu = times.user + times.system + times.children_user + times.children_system
+        return cls(wall=time.monotonic(), cpu=cpu)
+
+    def seconds_since(self, earlier: Usage) -> dict[str, float]:
+        """Wall and CPU seconds between two readings."""
+        return {"wall": round(self.wall - earlier.wall, 2), "cpu": round(self.cpu - earlier.cpu, 2)}
+
+
+def peak_memory_bytes() -> int:
+    """Largest resident size so far, of this process or of one of its children; 0 if unknown."""
+    if sys.platform == "win32":
+        return 0
+    import resource
+
+    unit = 1 if sys.platform == "darwin" else 1024
+    return unit * max(
+        resource.getrusage(who).ru_maxrss
+        for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+    )
+
+
+_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # numbers of glibc's settings, see mallopt(3)
+KEPT_BYTES = 1 << 29  # of freed memory at the heap's end: more than the tensors of a step take
+LARGEST_KEPT_BYTES = (1 << 28, 32 << 20)  # the second for old versions of glibc
+
+
+def keep_freed_memory() -> None:
+    """Have freed memory used again instead of handed back to the system.
+
+    A step of a fit makes and drops hundreds of tensors of some megabytes each. By default glibc
+    returns those to the system and asks for them anew, and every page that comes back is cleared
+    and mapped: a seventh of the processor time of the geometry fit. Nothing happens where the C
+    library is another one.
+    """
+    if sys.platform != "linux":
+        return
+    set_option = getattr(ctypes.CDLL(None), "mallopt", None)
+    if set_option is not None:
+        any(set_option(_MMAP_THRESHOLD, size) for size in LARGEST_KEPT_BYTES)
+        set_option(_TRIM_THRESHOLD, KEPT_BYTES)

@@ -6,7 +6,6 @@ from __future__ import annotations
 import errno
 import math
 import os
-import shutil
 import signal
 import threading
 from collections.abc import Iterator, Mapping
@@ -22,21 +21,17 @@ from robir.errors import (
     RobirError,
     StorageError,
 )
+from robir.jobs.folder import is_full
 
 _FAILING = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG, errno.EIO})
+# how libraries tell of them that raise an error of their own
 _DISK_WORDS = {os.strerror(number).lower(): number for number in _FAILING}
-"""How libraries tell of them that raise an error of their own."""
-
+# how a network drive or a disk that was pulled out is told; not every system knows all
 _AWAY = ("ESTALE", "ETIMEDOUT", "ENOTCONN", "EHOSTDOWN", "ENXIO", "ENODEV")
-"""How a network drive or a disk that was pulled out is told; not every system knows all."""
-
 _DISK_ERRORS = _FAILING | {getattr(errno, name) for name in _AWAY if hasattr(errno, name)}
 
-_FULL_BELOW_BYTES = 1 << 20
-
-_held: list[int] = []
-"""While a stop has to wait: a zero, then the signals that have come."""
-
+_held: list[int] = []  # while a stop has to wait: a zero, then the signals that have come
+# the setting that decides most about each stage's memory
 _MEMORY_CURES = {
     "capture": "capture.max_side",
     "geometry": "geometry.level_cells",
@@ -44,20 +39,10 @@ _MEMORY_CURES = {
     "appearance": "appearance.num_solve_surfels",
     "export": "export.render_max_side",
 }
-"""The setting that decides most about each stage's memory."""
 
 
 def translated(error: BaseException, stage: str, out: Path | None) -> BaseException:
-    """The error as a sentence for the user where it is not a fault of the program.
-
-    Args:
-        error: What ended the run.
-        stage: Stage at work.
-        out: Result folder; None where there is none.
-
-    Returns:
-        A RobirError, or the error itself where it is a bug.
-    """
+    """The error as a RobirError with a sentence for the user, or itself where it is a bug."""
     if isinstance(error, RobirError):
         return error
     if isinstance(error, KeyboardInterrupt):
@@ -83,7 +68,7 @@ def translated(error: BaseException, stage: str, out: Path | None) -> BaseExcept
         return CaptureError(
             f"{barred} cannot be read: {error.strerror}; give yourself the right to read it"
         )
-    if out is not None and _is_full(out):
+    if out is not None and is_full(out):
         return StorageError(f"the disk of {out} is full; make room, then continue with --resume")
     return error
 
@@ -95,18 +80,11 @@ def _barred(path: Path) -> Path:
 
 
 def refuse_nan(stage: str, metrics: Mapping[str, Any], folder: Path) -> None:
-    """Stop where a stage ended with numbers that are none.
-
-    Raises:
-        QualityError: If a metric is not finite, or an array of the stage holds a NaN.
-    """
+    """Refuse metrics that are not finite, and arrays with a NaN, by a `QualityError`."""
     import numpy as np
 
-    broken = [
-        name
-        for name, value in metrics.items()
-        if isinstance(value, float) and not math.isfinite(value)
-    ]
+    floats = {name: value for name, value in metrics.items() if isinstance(value, float)}
+    broken = [name for name, value in floats.items() if not math.isfinite(value)]
     for path in sorted(folder.glob("*.npz")):
         with np.load(path, allow_pickle=False) as arrays:
             for name in arrays.files:
@@ -143,10 +121,7 @@ def stop_requested() -> Iterator[None]:
 
 @contextmanager
 def stop_held() -> Iterator[None]:
-    """Let a stop that comes within the block wait for its end.
-
-    A process that is started there is then known to who has to end it.
-    """
+    """Let a stop wait for the block's end: a process started in it is then known to its ender."""
     _held.append(0)
     try:
         yield
@@ -186,17 +161,6 @@ def _is_out_of_memory(error: BaseException) -> bool:
 
 
 def _is_below(error: OSError, out: Path | None) -> bool:
-    return (
-        out is not None
-        and error.filename is not None
-        and Path(str(error.filename)).is_relative_to(out)
-    )
-
-
-def _is_full(out: Path) -> bool:
-    """Whether the disk of a folder, which need not be there yet, has no room."""
-    there = next((folder for folder in (out, *out.absolute().parents) if folder.exists()), out)
-    try:
-        return shutil.disk_usage(there).free < _FULL_BELOW_BYTES
-    except OSError:
+    if out is None or error.filename is None:
         return False
+    return Path(str(error.filename)).is_relative_to(out)

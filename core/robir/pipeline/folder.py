@@ -17,12 +17,7 @@ from robir.errors import ConfigError, StorageError, UsageError
 from robir.jobs.paths import JobPaths
 from robir.jobs.records import read_record
 from robir.pipeline.device import Execution
-from robir.settings import (
-    changed_settings,
-    read_toml,
-    settings_from_table,
-    table_from_settings,
-)
+from robir.settings import changed_settings, read_toml, settings_from_table, table_from_settings
 
 _RUN = {
     "state": str, "preset": str,
@@ -36,11 +31,7 @@ _RUN = {
 
 
 def read_run(paths: JobPaths) -> dict[str, Any] | None:
-    """What `run.json` says, or None where no run has begun.
-
-    Raises:
-        StorageError: If it is damaged.
-    """
+    """What `run.json` says, or None where no run has begun; a `StorageError` if it is damaged."""
     if not paths.run.exists():
         return None
     try:
@@ -52,57 +43,25 @@ def read_run(paths: JobPaths) -> dict[str, Any] | None:
 
 
 def read_config(paths: JobPaths) -> RunConfig:
-    """The resolved configuration that a run wrote.
-
-    Raises:
-        ConfigError: If it is missing, damaged, or from a version with other settings.
-    """
+    """The configuration of a run; a `ConfigError` if it is damaged or of other settings."""
     return settings_from_table(RunConfig, read_toml(paths.config), str(paths.config))
 
 
 def new_run(
-    *,
-    capture: dict[str, Any],
-    preset: str,
-    config: RunConfig,
-    execution: Execution,
+    *, capture: dict[str, Any], preset: str, config: RunConfig, execution: Execution
 ) -> dict[str, Any]:
-    """Contents of `run.json` before the first stage.
-
-    Args:
-        capture: What `capture_facts` says.
-        preset: Name of the preset the configuration came from.
-        config: Resolved configuration.
-        execution: Device and threads.
-    """
-    return {
-        "robir_version": __version__,
-        "python": platform.python_version(),
-        "platform": f"{platform.system()} {platform.machine()}",
-        "torch": version("torch"),
-        "device": execution.device,
-        "threads": execution.threads,
-        "preset": preset,
-        "seed": config.seed,
-        "state": "running",
-        "capture": capture,
-        "seconds": {},
-        "peak_memory_bytes": {},
-        "warnings": [],
-    }
+    """Contents of `run.json` before the first stage; `capture` is that of `capture_facts`."""
+    system = f"{platform.system()} {platform.machine()}"
+    made = {"robir_version": __version__, "python": platform.python_version(), "platform": system}
+    made |= {"torch": version("torch"), "device": execution.device, "threads": execution.threads}
+    made |= {"preset": preset, "seed": config.seed, "state": "running", "capture": capture}
+    return made | {"seconds": {}, "peak_memory_bytes": {}, "warnings": []}
 
 
 def capture_facts(
     source: Path, masks: Path | None, mesh: Path | None, fingerprints: tuple[str, str]
 ) -> dict[str, Any]:
-    """What `run.json` says of a run's inputs: no path, for the folder travels.
-
-    Args:
-        source: Capture as given.
-        masks: Masks folder as given.
-        mesh: Mesh as given.
-        fingerprints: Of the capture's contents and of the mesh's.
-    """
+    """What `run.json` says of a run's inputs: no path, for the folder travels."""
     capture, shape = fingerprints
     return {
         "name": source.resolve().name,
@@ -123,14 +82,7 @@ def refuse_unnamed(
 ) -> None:
     """Refuse to go on without what a run was given from elsewhere: a stranger may have written it.
 
-    Args:
-        paths: The result folder.
-        run: What `run.json` says.
-        option: "masks" or "mesh".
-        given: What is named now.
-
-    Raises:
-        UsageError: Says what was given.
+    `option` is "masks" or "mesh", `given` what is named now.
     """
     before = run["capture"].get(option)
     if before is not None and given is None:
@@ -144,11 +96,7 @@ def refuse_unnamed(
 def refuse_other_mesh(
     paths: JobPaths, run: Mapping[str, Any], mesh: Path | None, fingerprint: str
 ) -> None:
-    """Refuse to put another mesh, or the first one, into a folder that has a surface already.
-
-    Raises:
-        UsageError: If the surface was made with another mesh or with none; names both.
-    """
+    """Refuse (`UsageError`) another mesh, or the first one, where there is a surface already."""
     before = run["capture"].get("mesh") or {"name": "no mesh", "fingerprint": ""}
     if before["fingerprint"] != fingerprint and paths.manifest("geometry").exists():
         raise UsageError(
@@ -161,11 +109,7 @@ def refuse_other_mesh(
 def refuse_other_capture(
     paths: JobPaths, run: Mapping[str, Any], source: Path, capture: str
 ) -> None:
-    """Refuse to mix two captures in one result folder.
-
-    Raises:
-        UsageError: If the folder was made from another capture; names both.
-    """
+    """Refuse (`UsageError`) to mix two captures in one result folder."""
     before = run["capture"]
     if before["place"] != _place(source) and before["fingerprint"] != capture:
         raise UsageError(
@@ -177,11 +121,7 @@ def refuse_other_capture(
 def refuse_without_resume(
     paths: JobPaths, run: Mapping[str, Any], capture: str, config: RunConfig
 ) -> None:
-    """Refuse to touch a result folder that is not finished as asked, unless told to resume.
-
-    Raises:
-        UsageError: Always; says what differs and how to go on.
-    """
+    """Refuse (`UsageError`) to touch an unfinished result folder, unless told to resume."""
     if run["state"] == "running":
         raise UsageError(
             f"{paths.root} holds an unfinished run; continue it with --resume, "

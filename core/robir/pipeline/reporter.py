@@ -14,15 +14,8 @@ from robir.jobs.status import Kind, State, StatusWriter
 
 _log = logging.getLogger(__name__)
 
-_SHARES = {
-    "capture": 0.01,
-    "geometry": 0.55,
-    "transport": 0.02,
-    "appearance": 0.28,
-    "export": 0.14,
-}
-"""Typical share of each stage in the time of a draft on two cores; only for the time left."""
-
+# typical share of each stage in the time of a draft on two cores; only for the time left
+_SHARES = {"capture": 0.01, "geometry": 0.55, "transport": 0.02, "appearance": 0.28, "export": 0.14}
 _STATUS_PERIOD = 0.5
 _EVENT_PERIOD = 2.0
 
@@ -31,26 +24,14 @@ class Display(Protocol):
     """Something that shows a run while it goes on: a terminal, a log, a pipe."""
 
     def event(self, event: dict[str, Any], fraction: float, seconds_left: float | None) -> None:
-        """Show one event.
-
-        Args:
-            event: As in `events.jsonl`; "progress" events come as often as the stage reports.
-            fraction: Share of the whole run that is done, in [0, 1].
-            seconds_left: Estimated wall seconds to the end, or None.
-        """
+        """Show an event of `events.jsonl`, the run's share in [0, 1] and its seconds left."""
 
 
 class RunReporter:
     """The reporter handed to every stage of one run."""
 
     def __init__(self, paths: JobPaths, display: Display, pending: Sequence[str]) -> None:
-        """Begin to count time.
-
-        Args:
-            paths: The result folder, which exists.
-            display: Who watches.
-            pending: Stages that will run; the others count as done.
-        """
+        """Begin to count time; stages that are not pending count as done."""
         self._warnings: list[dict[str, str]] = []
         self._metrics = _known_metrics(paths, pending)
         self._paths = paths
@@ -122,12 +103,7 @@ class RunReporter:
         self._emit("metric", name=name, value=value)
 
     def finish(self, message: str, exit_code: int = 0) -> None:
-        """The run has come to its end, with a whole result.
-
-        Args:
-            message: What is shown.
-            exit_code: Not 0 where the result failed the program's own quality check.
-        """
+        """The run is over; `exit_code` is 0 unless the result failed the quality check."""
         self._done = 1.0
         self._stage = ""
         self._write_status("done", 1.0, message, exit_code=exit_code)
@@ -155,24 +131,9 @@ class RunReporter:
         self._write_status("running", self._done, message, seconds_left=left)
         self._emit(kind, message=message, **facts)
 
-    def _write_status(
-        self,
-        state: State,
-        fraction: float,
-        message: str,
-        *,
-        seconds_left: float | None = None,
-        exit_code: int | None = None,
-    ) -> None:
-        self._writer.status(
-            state,
-            stage=self._stage,
-            fraction=fraction,
-            message=message,
-            seconds_left=seconds_left,
-            exit_code=exit_code,
-            metrics=self._metrics,
-        )
+    def _write_status(self, state: State, fraction: float, message: str, **more: Any) -> None:
+        more |= {"stage": self._stage, "metrics": self._metrics}
+        self._writer.status(state, fraction=fraction, message=message, **more)
 
     def _emit(self, kind: Kind, **facts: Any) -> None:
         event = self._writer.event(kind, self._stage, **facts)
@@ -187,7 +148,6 @@ class RunReporter:
 
 
 def _known_metrics(paths: JobPaths, pending: Sequence[str]) -> dict[str, Any]:
-    """Metrics of the stages that were done before."""
     metrics: dict[str, Any] = {}
     for stage in STAGES:
         if stage not in pending:

@@ -18,25 +18,24 @@ from robir.constants import changed
 from robir.errors import CancelledError, RobirError, StorageError
 from robir.export.asset import AssetFacts, is_current, make_asset
 from robir.jobs.context import StageContext
-from robir.jobs.folder import create
-from robir.jobs.lock import folder_lock
+from robir.jobs.folder import create, folder_lock
 from robir.jobs.paths import STAGES, JobPaths, replacing, write_json
 from robir.pipeline import folder
-from robir.pipeline.device import Execution
+from robir.pipeline.device import Execution, Usage, peak_memory_bytes
 from robir.pipeline.faults import refuse_nan, stop_requested, translated
-from robir.pipeline.inputs import capture_fingerprint, mesh_fingerprint
 from robir.pipeline.ledger import (
     StageModule,
     StageState,
+    capture_fingerprint,
     clear_for_rerun,
     judged,
+    mesh_fingerprint,
     remove_leftovers,
     stage_fingerprints,
     stage_state,
     write_manifest,
 )
 from robir.pipeline.reporter import Display, RunReporter
-from robir.pipeline.usage import Usage, peak_memory_bytes
 from robir.settings import toml_from_settings
 
 _NO_ASSET = "no asset for Blender's library: "
@@ -44,31 +43,18 @@ _NO_ASSET = "no asset for Blender's library: "
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunRequest:
-    """What the user asked for.
+    """What the user asked for."""
 
-    Attributes:
-        source: Capture.
-        masks: Folder of masks, or None.
-        out: Result folder.
-        preset: Name of the preset the configuration came from.
-        config: Resolved configuration.
-        execution: Device and threads.
-        is_resume: Whether an unfinished or outdated folder may be worked on.
-        mesh: Mesh that takes the place of a surface of our own, or None.
-        asset: What is known of the asset for Blender's library that is to be made, or None.
-        until: Stage after which the run ends; the next one goes on from there.
-    """
-
-    source: Path
-    masks: Path | None
-    out: Path
-    preset: str
-    config: RunConfig
-    execution: Execution
-    is_resume: bool
-    mesh: Path | None = None
-    asset: AssetFacts | None = None
-    until: str = STAGES[-1]
+    source: Path  # capture
+    masks: Path | None  # folder of masks, or None
+    out: Path  # result folder
+    preset: str  # name of the preset the configuration came from
+    config: RunConfig  # resolved configuration
+    execution: Execution  # device and threads
+    is_resume: bool  # whether an unfinished or outdated folder may be worked on
+    mesh: Path | None = None  # mesh that takes the place of a surface of our own, or None
+    asset: AssetFacts | None = None  # facts of the asset to be made, or None
+    until: str = STAGES[-1]  # stage after which the run ends; the next one goes on from there
 
     @property
     def stages(self) -> tuple[str, ...]:
@@ -90,22 +76,11 @@ def load_stages() -> dict[str, StageModule]:
 def reconstruct(
     request: RunRequest, display: Display, stages: Mapping[str, StageModule]
 ) -> JobPaths:
-    """Bring a result folder to the state the request asks for.
+    """Bring a result folder to the state the request asks for, finished up to `until`.
 
     A folder that is there already is left alone. Whatever ends the run early leaves a folder that
-    `is_resume` continues.
-
-    Args:
-        request: What to do.
-        display: Who watches.
-        stages: Module of each stage, as from `load_stages`.
-
-    Returns:
-        The folder, finished up to `until`; `robir.pipeline.ledger.judged` says whether a whole
-        result passed the quality check.
-
-    Raises:
-        RobirError: With a sentence for the user; see `robir.errors` for the kinds.
+    `is_resume` continues. `judged` says whether a whole result passed the quality check.
+    `RobirError` with a sentence for the user.
     """
     paths = JobPaths(request.out)
     follows_links = request.config.capture.outside == "take"
@@ -157,7 +132,6 @@ def _bring_up_to_date(
 
 
 def _has_asset(request: RunRequest, paths: JobPaths) -> bool:
-    """Whether the asset is there, or none is to be made."""
     if request.asset is None or request.until != STAGES[-1]:
         return True
     return is_current(paths, request.asset)
@@ -240,22 +214,19 @@ class _Run:
         paths.stage(stage).mkdir(parents=True, exist_ok=True)
         _seed_everything(request.config.seed)
         before = Usage.now()
-        context = StageContext(
-            paths=paths,
-            config=getattr(request.config, stage),
-            source=request.source,
-            masks=request.masks,
-            seed=request.config.seed,
-            device=request.execution.device,
-            reporter=self._reporter,
-            mesh=request.mesh,
-        )
+        given: dict[str, Any] = {
+            "source": request.source,
+            "masks": request.masks,
+            "mesh": request.mesh,
+        }
+        how: dict[str, Any] = {"seed": request.config.seed, "device": request.execution.device}
+        config = getattr(request.config, stage)
+        context = StageContext(paths=paths, config=config, reporter=self._reporter, **given, **how)
         metrics = dict(module.run(context))
         refuse_nan(stage, metrics, paths.stage(stage))
         seconds = Usage.now().seconds_since(before)
         memory = peak_memory_bytes()
-        self._facts["seconds"][stage] = seconds
-        self._facts["peak_memory_bytes"][stage] = memory
+        self._facts["seconds"][stage], self._facts["peak_memory_bytes"][stage] = seconds, memory
         self._facts["warnings"] += self._reporter.take_warnings()
         write_json(paths.run, self._facts)
         facts = {"revision": module.REVISION, "fingerprint": expected, "seed": context.seed}

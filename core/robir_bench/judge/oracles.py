@@ -35,8 +35,7 @@ from robir.appearance.solution import Solution
 from robir.capture.store import load_settled
 from robir.errors import UsageError
 from robir.evaluation.aligned import Alignment, truth_of
-from robir.evaluation.light_scores import RecoveredLight, level_and_hue
-from robir.evaluation.tone_scores import true_curve
+from robir.evaluation.light_scores import RecoveredLight, level_and_hue, true_curve
 from robir.evaluation.truth import Truth, lamps_of, load_truth, read_exr, true_environment
 from robir.geometry.mesh.triangles import vertex_normals
 from robir.jobs.paths import JobPaths

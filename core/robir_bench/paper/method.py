@@ -18,7 +18,7 @@ from robir.capture.store import load_capture
 from robir.config import RunConfig
 from robir.evaluation.photos import mean_scores, photo_scores
 from robir.jobs.paths import JobPaths, read_json, write_json
-from robir.pipeline.usage import Usage, peak_memory_bytes
+from robir.pipeline.device import Usage, peak_memory_bytes
 from robir_bench.paper.config import VARIANTS, PaperConfig
 from robir_bench.paper.stages import Job, run_appearance, run_geometry, run_transport
 

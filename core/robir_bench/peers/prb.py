@@ -35,7 +35,7 @@ from robir.jobs.paths import JobPaths, read_json, replacing, write_json
 from robir.maths import spherical_gaussian as sg
 from robir.maths.tone import curve_from_name
 from robir.maths.tone_curve import AbstractToneCurve
-from robir.pipeline.usage import peak_memory_bytes
+from robir.pipeline.device import peak_memory_bytes
 from robir_bench.peers import prb_scene
 from robir_bench.peers.prb_fit import WITH_SUN, Observed, PrbConfig, PrbFit
 from robir_bench.stability.perturb import curve_of

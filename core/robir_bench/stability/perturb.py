@@ -34,7 +34,7 @@ import numpy as np
 from PIL import Image
 
 from robir.errors import CaptureError, ConfigError
-from robir.evaluation.tone_scores import true_curve
+from robir.evaluation.light_scores import true_curve
 from robir.jobs.paths import read_json, replacing, write_json
 from robir.maths import tone
 from robir.maths.tone_power import DISPLAY_POWER

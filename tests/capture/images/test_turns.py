@@ -114,7 +114,7 @@ def test_alpha_turns_with_its_photograph(marked, tmp_path):
 
 
 def test_sparse_points_tell_where_there_are_no_masks(marked, tmp_path):
-    from robir.capture.checks.turns import prepared
+    from robir.capture.checks.photographs import prepared
     from robir.capture.recognise import read_frames
 
     root = writers.colmap(tmp_path / "a", marked, binary=True)

@@ -13,13 +13,12 @@ from PIL import Image
 
 from robir.capture.bounds import kept, shown, silhouette
 from robir.capture.capture import Finding
-from robir.capture.check import check_capture
 from robir.capture.config import CaptureConfig
 from robir.capture.frames import Distortion
 from robir.capture.masks.guess import sharpened
 from robir.capture.masks.matching import features, surface_points
 from robir.capture.masks.region import find_region, focus, region_of_box
-from robir.capture.recognise import read_capture
+from robir.capture.recognise import check_capture, read_capture
 from robir.capture.support import support_plane
 from robir.errors import CaptureError, ConfigError
 

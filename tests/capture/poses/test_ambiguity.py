@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from robir.capture.poses import register
-from robir.capture.poses.ambiguity import Verdict, forget, hold_against_links
-from robir.capture.poses.diagnose import look_alikes
+from robir.capture.poses.diagnose import Verdict, forget, hold_against_links, look_alikes
 from robir.capture.poses.sfm import Prepared, Workplace
 
 pytestmark = pytest.mark.pycolmap

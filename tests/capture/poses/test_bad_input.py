@@ -13,10 +13,10 @@ from PIL import Image
 
 from robir import cli
 from robir.capture.camera import Camera
-from robir.capture.check import check_capture
 from robir.capture.config import CaptureConfig
 from robir.capture.poses import sfm
 from robir.capture.poses.register import FEATURE_SIDE, prepare, register
+from robir.capture.recognise import check_capture
 from robir.capture.refusal import CaptureRefusedError
 
 

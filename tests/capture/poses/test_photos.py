@@ -17,7 +17,7 @@ from robir.capture.poses.register import prepare
 from robir.capture.poses.sfm import all_pairs, sequence_pairs
 from robir.capture.poses.sources import FRAMES, find_photographs, lens_of, sharpness, take_frames
 from robir.capture.refusal import CaptureRefusedError
-from robir.pipeline.inputs import capture_fingerprint
+from robir.pipeline.ledger import capture_fingerprint
 
 
 def unheard(share: float, text: str) -> None:

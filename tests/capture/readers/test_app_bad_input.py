@@ -12,7 +12,7 @@ from capture import app_writers, writers
 from capture.readers.test_bad_input import edit, refusals_of_damage, refused
 from capture.scene import cameras, shoot
 
-from robir.capture.checks.frame_checks import check_frames
+from robir.capture.checks.findings import check_frames
 from robir.capture.recognise import read_frames
 from robir.errors import CaptureError
 

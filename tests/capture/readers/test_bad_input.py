@@ -11,10 +11,9 @@ import pytest
 from capture import writers
 from PIL import Image
 
-from robir.capture.check import check_capture
-from robir.capture.checks.frame_checks import check_frames
+from robir.capture.checks.findings import check_frames
 from robir.capture.config import CaptureConfig
-from robir.capture.recognise import read_capture, read_frames
+from robir.capture.recognise import check_capture, read_capture, read_frames
 from robir.capture.views import without_left_out
 from robir.errors import CaptureError
 

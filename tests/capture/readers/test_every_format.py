@@ -13,11 +13,10 @@ from capture import app_writers, program_writers, writers
 from capture.readers.test_readers import assert_same, read
 from capture.scene import Shot
 
-from robir.capture.check import rigid
-from robir.capture.checks.frame_checks import check_frames
+from robir.capture.checks.findings import check_frames
 from robir.capture.images.decode import stored_size
 from robir.capture.images.loading import size_within
-from robir.capture.recognise import read_frames
+from robir.capture.recognise import read_frames, rigid
 
 DATA = Path(__file__).parents[4] / "shared" / "data"
 REAL = (

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from robir.capture.checks.frame_checks import check_frames
+from robir.capture.checks.findings import check_frames
 from robir.capture.config import CaptureConfig
 from robir.capture.frames import FrameSet
 from robir.capture.mesh_file import read_mesh

@@ -11,7 +11,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from robir.capture.capture import Capture
-from robir.capture.checks.uneven_exposure import exposure_offsets, sight
+from robir.capture.checks.photographs import exposure_offsets, sight
 from robir.geometry.pipeline import evened
 from tests.geometry.scenes import capture_of, disc, drum
 

@@ -14,8 +14,7 @@ from geometry.scenes import ball, capture_of
 from robir.capture.mesh_file import Detail, Given
 from robir.capture.store import save_capture
 from robir.export.gltf import write_glb
-from robir.export.textures import finished_textures, stored_normal_map
-from robir.export.tiles import Part
+from robir.export.textures import Part, finished_textures, stored_normal_map
 from robir.geometry.config import GeometryConfig
 from robir.geometry.given.ready import made_ready
 from robir.geometry.mesh.isosurface import plain_mesh

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from robir.appearance.material.highlights import LEVELS
 from robir.appearance.material.metal import MetalParts
 from robir.appearance.material.trial import MaterialTrial
-from robir.jobs.choice import Choice
+from robir.jobs.context import Choice
 
 Floats = NDArray[np.float32]
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from robir.appearance.material.highlights import STEP, UNKNOWN, Highlights, pooled, read
 from robir.appearance.material.trial import MaterialTrial
-from robir.jobs.choice import Choice
+from robir.jobs.context import Choice
 
 Floats = NDArray[np.float32]
 Reals = NDArray[np.floating[Any]]

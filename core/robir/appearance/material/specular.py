@@ -42,7 +42,7 @@ from robir.appearance.material.roughness import RoughnessPatches, choose_roughne
 from robir.appearance.material.segments import clusters, means
 from robir.appearance.material.trial import MaterialTrial
 from robir.appearance.photometry.statistics import texture_weights
-from robir.jobs.choice import Choice
+from robir.jobs.context import Choice
 from robir.workers import side_by_side
 
 Floats = NDArray[np.float32]

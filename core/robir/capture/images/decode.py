@@ -17,30 +17,27 @@ import warnings
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import ExifTags, Image, UnidentifiedImageError
 
 from robir.capture.frames import HEIF_SUFFIXES, LINEAR_SUFFIXES, RAW_SUFFIXES
-from robir.capture.images.colour import code_points
 from robir.capture.images.linear import is_floating_tiff, read_linear
 from robir.capture.images.opencv import cv2
-from robir.capture.images.regular import regular
+from robir.capture.images.pixels import code_points
 from robir.capture.refusal import CaptureRefusedError, refuse
+from robir.jobs.names import regular
 
 # the cure for a missing optional package, in one place
 INSTALL_PHOTOS = "Install what reads it with: pip install 'robir[photos]'"
 MAX_PIXELS = 100_000_000  # largest photograph: decoding takes up to sixteen bytes a pixel
-# longest side of a JPEG; other formats allow pictures that are a billion wide and one high
-MAX_SIDE = 65_535
+MAX_SIDE = 65_535  # of a JPEG; other formats allow pictures that are a billion wide and one high
 MAX_FILE_BYTES = 1 << 30  # largest file of a photograph
-# pixels that a JPEG may make the decoder go over: each of its scans goes over all of them
-MAX_DECODED = 2_000_000_000
+MAX_DECODED = 2_000_000_000  # pixels that a JPEG's scans, each over all of them, may go over
 MAX_EXIF_BYTES = 1 << 20  # largest EXIF data that is looked at; JPEG can have a sixteenth of it
-# where a picture's `info` says that it was developed here, without a tone curve
-DEVELOPED = "developed"
+DEVELOPED = "developed"  # in a picture's `info`: developed here, without a tone curve
 _FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "WEBP")
 SCAN = b"\xff\xda"
 
@@ -49,23 +46,14 @@ _DAMAGE = (OSError, SyntaxError, ValueError, EOFError, Image.DecompressionBombEr
 # what Pillow raises for broken EXIF data
 _BAD_EXIF = (*_DAMAGE, TypeError, KeyError, IndexError, AttributeError, struct.error)
 # what brings a photograph of each EXIF orientation upright
-_TURNS = {
-    2: Image.Transpose.FLIP_LEFT_RIGHT,
-    3: Image.Transpose.ROTATE_180,
-    4: Image.Transpose.FLIP_TOP_BOTTOM,
-    5: Image.Transpose.TRANSPOSE,
-    6: Image.Transpose.ROTATE_270,
-    7: Image.Transpose.TRANSVERSE,
-    8: Image.Transpose.ROTATE_90,
-}
+_T = Image.Transpose
+_TURNS = {2: _T.FLIP_LEFT_RIGHT, 3: _T.ROTATE_180, 4: _T.FLIP_TOP_BOTTOM, 5: _T.TRANSPOSE}
+_TURNS |= {6: _T.ROTATE_270, 7: _T.TRANSVERSE, 8: _T.ROTATE_90}
 
 
 @contextmanager
 def opened(path: Path) -> Iterator[Image.Image]:
-    """A picture file of any kind of `IMAGE_SUFFIXES`, decoded, as stored; RAW comes upright.
-
-    `CaptureError` if it is missing, damaged, no picture, or of a kind whose package is missing.
-    """
+    """A picture file of `IMAGE_SUFFIXES`, decoded, as stored, RAW upright; or `CaptureError`."""
     with header(path) as picture:
         load(picture, path)
         yield picture
@@ -83,10 +71,7 @@ def load(picture: Image.Image, path: Path) -> None:
 
 
 def deep_codes(picture: Image.Image, path: Path) -> NDArray[np.uint16] | None:
-    """Pixels (H, W, 3 or 4) of a picture with 16 bits a channel, of which Pillow would keep eight.
-
-    None for other pictures and for what OpenCV would turn.
-    """
+    """Codes (H, W, 3 or 4) of a picture of 16 bits a channel; None for others and turned TIFFs."""
     tiles = getattr(picture, "tile", ())
     is_deep = picture.mode in ("RGB", "RGBA") and any(";16" in str(tile[3]) for tile in tiles)
     if not is_deep or (picture.format == "TIFF" and orientation(picture) != 1):
@@ -99,11 +84,7 @@ def deep_codes(picture: Image.Image, path: Path) -> NDArray[np.uint16] | None:
 
 
 def reduce(picture: Image.Image, factor: int) -> int:
-    """Let an open picture be decoded at a fraction of its size, where its format allows it.
-
-    Returns the reduction that decoding will apply, at most the 1, 2, 4 or 8 wanted. Pixels past the
-    right and lower border fill the last ones where the size is no multiple of it.
-    """
+    """Let an open JPEG be decoded at a fraction 1, 2, 4 or 8 of its size; the reduction applied."""
     width, height = picture.size
     if factor > 1 and picture.format == "JPEG":
         picture.draft(None, (max(1, width // factor), max(1, height // factor)))
@@ -132,10 +113,7 @@ def may_hold_alpha(path: Path) -> bool:
 
 @contextmanager
 def header(path: Path) -> Iterator[Image.Image]:
-    """A picture file whose pixels are read when they are asked for, of a size that can be decoded.
-
-    `CaptureError` as for `opened`, but for damage to the pixels.
-    """
+    """A picture of a size that can be decoded, its pixels unread; or a `CaptureError`."""
     suffix = path.suffix.lower()
     formats = _FORMATS
     if suffix in HEIF_SUFFIXES:
@@ -230,8 +208,7 @@ def _register_heif(path: Path) -> None:
 def _developed(path: Path, file: BinaryIO) -> Image.Image:
     """A RAW file at half its size, 8-bit sRGB: the camera's white balance, no automatic exposure.
 
-    No tone curve but sRGB's own is applied, so that its values are linear once that is undone.
-    Half the size takes each colour from its own sensor pixels, so nothing is interpolated.
+    No tone curve but sRGB's own is applied. Half the size takes each colour from its own pixels.
     """
     try:
         import rawpy
@@ -242,13 +219,8 @@ def _developed(path: Path, file: BinaryIO) -> Image.Image:
     try:
         with rawpy.imread(file) as raw:
             _check_size(path, raw.sizes.raw_width // 2, raw.sizes.raw_height // 2)
-            pixels = raw.postprocess(
-                half_size=True,
-                use_camera_wb=True,
-                no_auto_bright=True,
-                output_bps=8,
-                gamma=(2.4, 12.92),
-            )
+            how: Any = {"half_size": True, "use_camera_wb": True, "no_auto_bright": True}
+            pixels = raw.postprocess(**how, output_bps=8, gamma=(2.4, 12.92))
     except (rawpy.LibRawError, OSError) as fault:  # type: ignore[attr-defined]
         raise _damaged(path, fault) from None
     # a monochrome sensor has one channel

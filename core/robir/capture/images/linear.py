@@ -24,12 +24,10 @@ from robir.maths.primaries import rgb_to_rec709, srgb_codes
 
 Floats = NDArray[np.float32]
 
-# where a picture's `info` holds its linear Rec.709 values, (H, W, 3 or 4) float32, straight
-LINEAR = "linear"
+LINEAR = "linear"  # in a picture's `info`: linear Rec.709 values, (H, W, 3 or 4) float32, straight
 BRIGHT = 0.995  # share of the pixels that have to be below white
 _STEP = 7  # every how many-th pixel is looked at for that
-# numbers that an entry of a TIFF may have: a picture of 65,535 rows has as many strips
-_MAX_VALUES = 1 << 17
+_MAX_VALUES = 1 << 17  # of an entry of a TIFF: a picture of 65,535 rows has as many strips
 _EXIF, _FLOATING, _TEXTS = 34665, 3, (1, 2, 7)  # of these kinds entries stay bytes
 
 logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # what is wrong is said in refusals
@@ -47,10 +45,7 @@ def read_linear(path: Path, file: BinaryIO, most: int) -> Image.Image:
 
 
 def is_floating_tiff(file: BinaryIO) -> bool:
-    """Whether a file, left at its beginning, is a TIFF file of floating-point numbers.
-
-    ValueError for endless entries, before a decoder makes millions of numbers of them.
-    """
+    """Whether a file is a TIFF of floating-point numbers; ValueError for endless entries."""
     counts, is_floating = {}, False
     try:
         if file.read(4) in (b"II*\0", b"MM\0*"):

@@ -30,13 +30,13 @@ from robir.capture.images.linear import LINEAR, coded
 from robir.capture.images.opencv import cv2
 from robir.capture.images.pixels import Photo, in_srgb, pixels_of
 from robir.capture.refusal import refuse
+from robir.jobs.paths import replacing
 from robir.workers import side_by_side
 
 Bytes = NDArray[np.uint8]
 Size = tuple[int, int]
 
-# pixels between those at which a lens distortion is evaluated; it is all but linear between
-_MESH = 8
+_MESH = 8  # pixels between those at which a lens distortion is evaluated; all but linear between
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,10 +55,7 @@ class StoredPhoto:
         return (height, width) if self.orientation >= 5 else (width, height)
 
     def read(self, reduction: int = 1, exposure: float = 1.0) -> Photo:
-        """Decode it, once, reduced by up to 1, 2, 4 or 8 where that spares decoding.
-
-        Linear values are multiplied by the exposure; others are as they are.
-        """
+        """Decode it, reduced by 1, 2, 4 or 8 where that helps; linear values times exposure."""
         is_linear = LINEAR in self.picture.info
         applied = 1 if is_linear else reduce(self.picture, reduction)
         deep = None if is_linear else deep_codes(self.picture, self.path)
@@ -123,11 +120,9 @@ def size_within(size: Size, max_side: int) -> Size:
 
 
 def shrink(image: Bytes, mask: Bytes, width: int, height: int) -> tuple[Bytes, Bytes]:
-    """Area average of a photograph (H, W, 3), straight, and its mask (H, W), both uint8.
+    """Area average of a photograph (H, W, 3), straight display values, and its mask (H, W), uint8.
 
-    Colours are weighted by the mask, so that the background (or the black under a transparent
-    alpha) does not bleed into the object's edge. Averages display values: the tone curve is not
-    known yet.
+    Colours are weighted by the mask, so that the background does not bleed into the object's edge.
     """
     if (width, height) == (image.shape[1], image.shape[0]):
         return image, mask
@@ -159,10 +154,7 @@ def resize_views(views: Iterable[View], max_side: int) -> tuple[View, ...]:
 
 
 def straightened(camera: Camera, distortion: Distortion) -> Camera:
-    """The camera of the photograph without its lens distortion, of the same size.
-
-    The field of view shrinks just so much that no pixel lies outside the photograph.
-    """
+    """The camera without lens distortion, its view so much narrower that no pixel lies outside."""
     lens = (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
     zoom = _zoom_without_gaps(lens, distortion)
     return replace(camera, fx=camera.fx * zoom, fy=camera.fy * zoom)
@@ -171,11 +163,7 @@ def straightened(camera: Camera, distortion: Distortion) -> Camera:
 def undistort(
     image: Bytes, mask: Bytes, camera: Camera, distortion: Distortion, straight: Camera
 ) -> tuple[Bytes, Bytes]:
-    """Take out the lens distortion of a photograph and its mask, uint8, by bilinear remapping.
-
-    `camera` is the photograph's, distortion aside; `straight` that of the picture that is wanted:
-    as `straightened` has it, or of a part of that.
-    """
+    """A photograph and its mask, uint8, as a straight camera sees them, by bilinear remapping."""
     # exact in the middle of every few pixels, and one such square beyond the border
     sides = (straight.width, straight.height)
     columns, rows = (_MESH * (np.arange(-1, -(-side // _MESH) + 1) + 0.5) for side in sides)
@@ -202,10 +190,7 @@ def _distorted_pixels(
 def _zoom_without_gaps(
     lens: tuple[int, int, float, float, float, float], distortion: Distortion
 ) -> float:
-    """Smallest focal factor, at least 1, whose picture's border lies inside the photograph.
-
-    `lens` is width, height, fx, fy, cx and cy of a camera: many photographs share them.
-    """
+    """Smallest focal factor from 1 on whose picture's border lies in the photograph."""
     width, height, fx, fy, cx, cy = lens
     camera = Camera(
         camera_to_world=np.eye(4), width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy
@@ -233,3 +218,18 @@ def _zoom_without_gaps(
     message += f"tangential {distortion.tangential}, skew {distortion.skew:g}"
     cure = "Undistort the photographs (for example with `colmap image_undistorter`) "
     raise refuse("distortion", message, cure + "and give that folder.")
+
+
+PREVIEW_SIDE = 160  # longer side of each of the two pictures, pixels
+PREVIEW_GREY = 48  # grey behind the object, display value
+
+
+def save_preview(path: Path, photo: NDArray[np.uint8], rendering: NDArray[np.uint8]) -> None:
+    """Write a photograph and its rendering, (H, W, 4) display RGBA each, side by side as PNG."""
+    size = size_within((photo.shape[1], photo.shape[0]), PREVIEW_SIDE)
+    sheet = Image.new("RGB", (2 * size[0], size[1]), (PREVIEW_GREY,) * 3)
+    for column, picture in enumerate((photo, rendering)):
+        small = Image.fromarray(picture, "RGBA").resize(size, Image.Resampling.BOX)
+        sheet.paste(small, (column * size[0], 0), small)
+    with replacing(path) as temporary:
+        sheet.save(temporary, format="PNG", compress_level=1)

@@ -67,14 +67,10 @@ def read_view(
     max_side: int,
     exposure: float = 1.0,
 ) -> Reading:
-    """Read a photograph and its mask.
+    """Read a photograph, whose pose is without fault, and its mask, for what the split says.
 
-    Args:
-        frame: The photograph with its pose, which is without fault.
-        split: What the view is for.
-        given: Its mask or the mask's file, which win over the format's own and over alpha; or None.
-        max_side: Longer side that is kept of what shows the object, pixels.
-        exposure: Factor on the values of a linear photograph.
+    `given` is its mask or the mask's file, which win over the format's own and over alpha; or None.
+    Of what shows the object `max_side` pixels are kept; linear values are multiplied by `exposure`.
     """
     with open_photo(frame.image, frame.lens.size, frame.is_upright) as stored:
         size = stored.size
@@ -98,11 +94,7 @@ def read_view(
 
 
 def object_box(mask: Bytes) -> Box | None:
-    """The part of a picture about its object, by its mask (H, W).
-
-    The mask's bounding box with a margin, but for sides where the picture ends; None where the
-    whole picture is hardly larger, or the mask is empty.
-    """
+    """The box of the object by its mask (H, W), with a margin; None where that saves little."""
     inside = mask >= INSIDE
     rows, columns = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
     if len(rows) == 0:
@@ -128,7 +120,6 @@ def _check_size(size: Size, frame: Frame) -> None:
 
 
 def _drawn(path: Path, stored: StoredPhoto, frame: Frame) -> MaskSource:
-    """A mask from its file."""
     is_turned, turn = None, stored.orientation
     if frame.is_mask_upright is not None:
         is_turned = frame.is_mask_upright != frame.is_upright

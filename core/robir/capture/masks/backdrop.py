@@ -22,14 +22,9 @@ from robir.capture.masks.guess import Array, Layer, sampled
 from robir.capture.masks.region import focus
 
 RING = 2  # width of the strip along the edges of a photograph that shows the backdrop, pixels
-# codes by which a backdrop of one colour varies at most: no wall that a camera saw does so little,
-# unless it is clipped
-FLAT = 2
-# the same about an object in a JPEG file: its blocks of 8 pixels carry their edges over
-RINGING = 16
-# share of the strips of all photographs that the backdrop covers at least; the object may run out
-# of some of them
-BARE = 0.9
+FLAT = 2  # codes by which a backdrop varies at most; no wall varies so little unless clipped
+RINGING = 16  # the same about an object in a JPEG file: its blocks of 8 pixels carry edges over
+BARE = 0.9  # share of all edges that the backdrop covers at least; the object may run out of some
 LEAST, MOST = 0.002, 0.9  # share of the photographs that an object covers, in the median
 LEAST_HOLE = 4  # pixels of an enclosed patch that is looked at
 RAYS, STEPS = 24, 96  # rays through each enclosed patch, and points looked at along each
@@ -38,11 +33,7 @@ NEAR_RIM = 3.0  # pixels from a rim within which the object's own colour is read
 
 
 def backdrop_masks(views: Sequence[View], *, is_lossy: bool) -> tuple[Layer, ...] | None:
-    """Share (H, W) of each pixel that the object covers, where all photographs have one backdrop.
-
-    None where there is none of one colour, or nothing before it. `is_lossy` compression leaves
-    ringing about the object.
-    """
+    """Share (H, W) of pixels that the object covers before one backdrop of all, or None."""
     edges = np.concatenate([_strip(view.image_display) for view in views]).astype(np.int16)
     colour = np.median(edges, axis=0).astype(np.int16)
     if (np.abs(edges - colour).max(axis=1) <= FLAT).mean() < BARE:
@@ -123,10 +114,7 @@ def _is_empty(
 
 
 def _coverage(apart: NDArray[np.int16], behind: NDArray[np.bool_]) -> Layer:
-    """Share (H, W) of each pixel that the object covers, from its difference to the backdrop.
-
-    A pixel on the rim mixes both; the object's own colour is that of the nearest pixel within.
-    """
+    """Share (H, W) of pixels that the object covers; a rim mixes its colour and the backdrop's."""
     near = cv2.dilate(behind.astype(np.uint8), np.ones((3, 3), np.uint8)) == 1
     rim, within = near & ~behind, ~near
     covered = (~behind).astype(np.float32)

@@ -80,11 +80,10 @@ def from_folder(folder: Path, frames: Iterable[Frame]) -> dict[str, Path]:
 def without_ignoring(
     chosen: Sequence[tuple[Frame, Split]], drawn: Mapping[str, Path]
 ) -> tuple[list[tuple[Frame, Split]], dict[str, Path], list[Finding]]:
-    """Frames and masks without those masks that say what to ignore, and findings.
+    """Frames, masks, findings, without masks that say what to ignore.
 
     Such a mask is the same for every photograph and leaves most of the border in; or it is called
-    `dynamic_mask_*` and lies beside its photograph, white where it is ignored. `drawn` ones win
-    over the format's own.
+    `dynamic_mask_*` and lies beside its photograph. `drawn` ones win over the format's own.
     """
     masks = [drawn.get(frame.name) or frame.mask for frame, _ in chosen]
     beside = [f.image.with_name(f"{IGNORE}_{f.image.stem}.png") for f, _ in chosen]

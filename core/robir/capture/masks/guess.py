@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from robir.capture.bounds import kept, shown, silhouette
 from robir.capture.camera import Camera
 from robir.capture.capture import View
+from robir.capture.images.loading import size_within
 from robir.capture.images.opencv import cv2
 from robir.capture.masks.region import Region
 from robir.workers import blocks, side_by_side
@@ -28,12 +29,10 @@ Layer = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
 SIDE = 320  # longer side at which masks are made, pixels
-# share of the photographs that may call a part of the object background, round by round
-DISSENT = (0.15, 0.10, 0.07, 0.05)
+DISSENT = (0.15, 0.10, 0.07, 0.05)  # of photographs may call a part background, round by round
 CELLS = 64  # along the longest side of the region
 _SLIM = 0.6  # of a cell that masks carve and pictures show: whole ones would make it fat
-# pixels beyond the volume's picture at which nothing is looked for after the first round
-_ROOM = 12
+_ROOM = 12  # pixels beyond the volume's picture that are looked at after the first round
 _DEEP = 4  # pixels within it from which it is believed against the colours in the end
 _CONTAINED = 0.85  # share of the masks that must contain a surface point of the object
 _RING = 10  # pixels on both sides of an outline by which colours are judged
@@ -138,19 +137,14 @@ def reduced(views: Sequence[View], side: int) -> list[Picture]:
     pictures = []
     for view in views:
         camera = view.camera
-        scale = min(1.0, side / max(camera.width, camera.height))
-        size = (max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
+        size = size_within((camera.width, camera.height), side)
         small = cv2.resize(view.image_display, size, interpolation=cv2.INTER_AREA)
         pictures.append(Picture(cv2.cvtColor(small, cv2.COLOR_RGB2LAB), camera.resized(*size)))
     return pictures
 
 
 def recut(pictures: Sequence[Picture], outlines: Sequence[Layer]) -> list[Layer]:
-    """Masks (H, W), 1 on the object, cut again near the outlines of a surface.
-
-    Colours alone cannot tell a shadow from what casts it; a surface can, to within a few pixels.
-    `outlines` (H, W) are signed distances to the surface's outline, pixels, negative on it.
-    """
+    """Masks (H, W) cut again near a surface's outline, at signed distances (H, W), pixels."""
 
     def cut(pair: tuple[Picture, Layer]) -> Layer:
         picture, outline = pair
@@ -162,10 +156,7 @@ def recut(pictures: Sequence[Picture], outlines: Sequence[Layer]) -> list[Layer]
 
 
 def sharpened(image_display: Bytes, belief: Layer) -> Bytes:
-    """Mask (H, W) uint8 of a photograph (H, W, 3), 255 on the object, along the photograph's edges.
-
-    `belief` (h, w) in [0, 1] is the same picture smaller.
-    """
+    """Mask (H, W), 255 inside, along a photograph's edges, by a belief (h, w) in [0, 1]."""
     height, width = image_display.shape[:2]
     small = _without_crumbs(belief > 0.5)
     mask = np.zeros((height, width), np.uint8)
@@ -181,8 +172,7 @@ def sharpened(image_display: Bytes, belief: Layer) -> Bytes:
     (y0, x0), (y1, x1) = np.rint(low * scale).astype(int), np.rint(high_end * scale).astype(int)
     part = image_display[y0:y1, x0:x1]
     own = small[low[0] : high_end[0], low[1] : high_end[1]].astype(np.float32)
-    zoom = min(1.0, _FINE_SIDE / max(part.shape[:2]))
-    size = (max(1, round(part.shape[1] * zoom)), max(1, round(part.shape[0] * zoom)))
+    size = size_within((part.shape[1], part.shape[0]), _FINE_SIDE)
     inside = (cv2.resize(own, size, interpolation=cv2.INTER_LINEAR) > 0.5).astype(np.uint8)
     square = _disc(max(1, round(_BAND * max(size) / max(own.shape))))
     labels = np.where(inside, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
@@ -219,10 +209,7 @@ def _near_points(camera: Camera, points: Array) -> Mask:
 
 
 def _like_points(pictures: Sequence[Picture], points: Array, priors: Sequence[Mask]) -> list[Mask]:
-    """Pixels of colours that points of the object have in all photographs together.
-
-    What lies beyond the volume in the same photograph must have them half as often.
-    """
+    """Pixels of colours that points of the object have, twice as often as what lies beyond."""
     cells = [_colours(picture.lab) for picture in pictures]
     counts = np.zeros(4096)
     for picture, own in zip(pictures, cells, strict=True):

@@ -18,6 +18,7 @@ from scipy.sparse.csgraph import connected_components
 
 from robir.capture.camera import Camera
 from robir.capture.capture import View
+from robir.capture.images.loading import size_within
 from robir.capture.images.opencv import cv2
 from robir.capture.masks.guess import Array
 
@@ -28,9 +29,7 @@ MAX_VIEWS = 48  # photographs used at most to look for surface points, evenly sp
 FEATURES = 2000  # features used of a photograph at most, the strongest
 NEIGHBOURS = 3  # photographs each photograph is compared with
 _RATIO = 0.8  # greatest distance of the best match against the second best
-# distance of a match from its epipolar line at most, longer sides of a photograph: what is further
-# off is no error of cameras, but another point
-_OFF_LINE = 0.01
+_OFF_LINE = 0.01  # longer sides from its epipolar line, beyond which a match is another point
 _OFF_POINT = 1.2  # pixels a triangulated point may lie beside its features
 _LEAST_ANGLE = 2.0  # degrees between the outermost rays of a surface point
 
@@ -70,8 +69,7 @@ def features(views: Sequence[View], most: int = FEATURES) -> list[Features]:
     sift = cv2.SIFT_create(nfeatures=most, contrastThreshold=0.02)
     found = []
     for view in views:
-        scale = min(1.0, SIDE / max(view.camera.width, view.camera.height))
-        size = tuple(max(1, round(s * scale)) for s in (view.camera.width, view.camera.height))
+        size = size_within((view.camera.width, view.camera.height), SIDE)
         grey = cv2.cvtColor(view.image_display, cv2.COLOR_RGB2GRAY)
         grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
         points, words = sift.detectAndCompute(grey, None)

@@ -22,8 +22,7 @@ from robir.capture.support import Plane, support_plane
 
 Array = NDArray[np.float64]
 
-# radius about the focus within which the object is looked for, against the cameras' distance
-_REACH = 1.0
+_REACH = 1.0  # radius about the focus that is searched, against the cameras' distance
 _LINK = 0.08  # points this near belong together, against the cameras' distance
 _DENSE = 0.1  # points of a cell of the object at least, against those of its densest cells
 _LEAST_POINTS = 25  # fewer points than this say nothing about the object's extent
@@ -40,18 +39,13 @@ class Region:
 
     centre: Array  # (3,), capture frame
     half: Array  # (3,) half the sides of the box
-    # (K, 4) half spaces (normal, offset; inside <= 0) whose intersection is the convex hull of what
-    # is known of the object
-    core: Array
+    core: Array  # (K, 4) half spaces (normal, offset; inside <= 0): convex hull of what is known
     points: Array  # (N, 3) surface points that belong to the object, possibly none
     plane: Plane | None  # what the object stands on, or None
     origin: str  # how the region was found, one clause for the user
 
     def cells(self, count: int) -> tuple[Array, float]:
-        """Centres (N, 3) of cells that fill the box above the plane, and half the side of one.
-
-        There are `count` along the longest side.
-        """
+        """Centres (N, 3) of `count` cells a longest side, above the plane, and half a side."""
         side = 2.0 * float(self.half.max()) / count
         number = np.maximum(np.ceil(2.0 * self.half / side - 1e-9).astype(int), 1)
         ticks = [side * (np.arange(n) - 0.5 * (n - 1)) for n in number]
@@ -69,10 +63,7 @@ class Region:
 
 
 def focus(cameras: Sequence[Camera]) -> tuple[Array, float] | None:
-    """The point (3,) nearest to all viewing axes, outliers apart, and the cameras' distance to it.
-
-    None where the axes are parallel or nothing lies ahead.
-    """
+    """The point (3,) nearest to most viewing axes, and the cameras' distance to it; or None."""
     place = np.stack([camera.position for camera in cameras])
     forward = np.stack([camera.forward for camera in cameras])
     across = np.eye(3) - forward[:, :, None] * forward[:, None]
@@ -117,10 +108,7 @@ def find_region(cameras: Sequence[Camera], points: Array) -> Region | None:
 
 
 def region_of_box(box: Sequence[float], cameras: Sequence[Camera], points: Array) -> Region:
-    """Region a user has given: centre x, y, z and sides x, y, z of an upright box.
-
-    Sparse points (N, 3) may be none.
-    """
+    """Region of a user's upright box: centre x, y, z and sides; sparse points (N, 3) or none."""
     centre, half = np.array(box[:3]), 0.5 * np.array(box[3:])
     distance = float(np.median([np.linalg.norm(c.position - centre) for c in cameras]))
     near = points[np.linalg.norm(points - centre, axis=1) < max(_REACH * distance, 2 * half.max())]
@@ -155,10 +143,7 @@ def _object_points(points: Array, plane: Plane | None, middle: Array, distance: 
 
 
 def _foot(own: Array, plane: Plane | None) -> Array:
-    """Where an object whose points end far above the plane may touch it: nothing floats.
-
-    A plain leg or stem shows few points.
-    """
+    """Where an object whose points end far above the plane may touch it: nothing floats."""
     if plane is None or len(own) == 0:
         return own[:0]
     height = plane.height(own)

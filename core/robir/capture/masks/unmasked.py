@@ -50,9 +50,8 @@ def with_guessed_masks(
 ) -> tuple[Loaded, list[Finding]]:
     """Guess the masks of photographs that have none, and read the photographs again with them.
 
-    `how` is the settings of the stage, the folder where the masks are written, or None to keep no
-    files, and the mesh that the user hands in, or None. Where no masks could be made, there is an
-    error among the findings, and the photographs are as they came.
+    `how` is the settings, the folder for masks and the user's mesh, either None. Where no masks
+    could be made there is an error among the findings.
     """
     config, folder, mesh = how
     progress(0.0, "looking for the object")
@@ -107,10 +106,7 @@ def _cuts(
 
 
 def about_mesh(vertices: Array, chosen: Chosen, views: Sequence[View]) -> dict[str, GuessedMask]:
-    """Rough masks by name: the convex hull of what shows a mesh (N, 3), where it is shown whole.
-
-    Views are uncut.
-    """
+    """Rough masks by name: the convex hull of what shows a mesh (N, 3) whole, in uncut views."""
     cuts = {}
     for (frame, _), view in zip(chosen, views, strict=True):
         pixels, depth = view.camera.project(vertices)
@@ -153,7 +149,6 @@ class GuessedMask:
         return mask
 
     def _bent(self, size: tuple[int, int]) -> Layer:
-        """The belief with the distortion of the photograph."""
         if self.lens.distortion.is_null:
             return self.belief
         bent = self.lens.camera(self.camera.camera_to_world, *size)
@@ -204,14 +199,12 @@ def _with_points(frames: FrameSet, views: tuple[View, ...]) -> tuple[tuple[View,
 
 
 def _where_masks(folder: Path | None) -> str:
-    """Where guessed masks can be looked at."""
     if folder is None:
         return "robir reconstruct writes them into the folder masks of the result, to be looked at"
     return f"they lie in {folder}: look at them, mend a copy, and give that with --masks DIR"
 
 
 def _account(guess: Guess, views: Sequence[View], folder: Path | None) -> list[Finding]:
-    """Findings about guessed masks."""
     agreement, contrast = (100 * float(np.median(x)) for x in (guess.agreement, guess.contrast))
     message = f"The photographs have no masks, so masks were guessed from {guess.region.origin}: "
     message += f"they agree with each other to {agreement:.0f} %, colour alone decides "

@@ -30,18 +30,15 @@ Array = NDArray[np.float64]
 
 _NEIGHBOURS = 6  # photographs each photograph is compared with
 _FEATURES = 1200  # of a photograph at most, the strongest
-# photographs that must show a point for it to be followed: two agree on some point too easily
-_SHORTEST = 3
+_SHORTEST = 3  # photographs that must show a point: two agree on some point too easily
 _OFF = 6.0  # pixels by which a point may be off in one photograph and be followed still
 _FEWEST = 100  # points on the object from which cameras can be judged
 _HELD_OUT = 5  # one point in so many takes no part in the adjustment
 _CAPPED = 3.0  # pixels beyond which a point is only known to be wrong
 _ROUNDS = 50  # iterations at most
-# share by which focal lengths may change; of a ring of exact cameras, free ones once shrank to 0.65
-_MOST_ZOOM = 0.05
+_MOST_ZOOM = 0.05  # change of focal lengths; free ones of a ring of exact cameras shrank to 0.65
 _LEAST_LEAD = 2.0  # standard errors by which held-out points must meet better
-# share of the distance before, to which it must fall for the user to be warned of the cameras
-_NOTEWORTHY = 0.8
+_NOTEWORTHY = 0.8  # share of the distance before, at which the user is warned of the cameras
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,9 +46,7 @@ class Adjustment:
     """Cameras that meet the photographs better than the given ones."""
 
     cameras: dict[str, Camera]  # by the view's name, in the given cameras' frame
-    # mean distance, pixels of photographs `matching.SIDE` long, between where held-out points of
-    # the object fall and where they are seen, with the given cameras
-    before: float
+    before: float  # mean pixels, at `matching.SIDE`, of held-out points with the given cameras
     after: float  # the same with these
 
 
@@ -107,10 +102,7 @@ def adjust(views: Sequence[View]) -> Adjustment | None:
 
 
 def moved_cameras(given: Sequence[Camera], tracks: Tracks, *, zooms: bool) -> list[Camera]:
-    """Cameras of least robust error (Cauchy), in the frame of the given ones.
-
-    All of them are seen through one lens of the median focal length, which `zooms` leaves free.
-    """
+    """Cameras of least robust error (Cauchy), in the frame of the given ones, of one free lens."""
     pycolmap = sfm.library()
     focal = float(np.median([camera.fx for camera in given]))
     model = pycolmap.Reconstruction()

@@ -31,10 +31,8 @@ from robir.capture.images.decode import (
 )
 from robir.capture.images.loading import size_within
 from robir.capture.images.pixels import pixels_of
-from robir.capture.images.regular import regular
 from robir.capture.poses import sfm
-from robir.capture.poses.ambiguity import forget, hold_against_links
-from robir.capture.poses.diagnose import judge, look_alikes, read_links
+from robir.capture.poses.diagnose import forget, hold_against_links, judge, look_alikes, read_links
 from robir.capture.poses.sfm import MIN_PHOTOGRAPHS, MORE_PHOTOGRAPHS, Prepared, Workplace
 from robir.capture.poses.sources import (
     MAX_BYTES,
@@ -48,6 +46,7 @@ from robir.capture.poses.sources import (
 from robir.capture.readers import colmap
 from robir.capture.refusal import CaptureRefusedError, note, refuse, some
 from robir.capture.views import Progress
+from robir.jobs.names import regular
 from robir.jobs.paths import read_json, replacing, write_json
 
 if TYPE_CHECKING:
@@ -65,14 +64,9 @@ def register(source: Path, work: Path, seed: int, progress: Progress) -> FrameSe
     """Posed frames of the photographs themselves, in COLMAP's frame and unit, with sparse points.
 
     Photographs that could not be placed are named in a finding. Where none can be, the findings of
-    the refusal say what to shoot differently.
-
-    Args:
-        source: Folder of photographs, or a video; never written to.
-        work: Folder of this room alone. What a stopped call left there is used if it belongs to
-            the same files and seed; else it is cleared.
-        seed: Seed of all robust estimators.
-        progress: Told what is being done.
+    the refusal say what to shoot differently. `source`, photographs or a video, is never written
+    to. What a stopped call left in `work` is used if it belongs to the same files and seed; else it
+    is cleared.
     """
     return _Registration(source, work, seed, progress).run()
 
@@ -140,10 +134,7 @@ class _Registration:
     def _models(
         self, photographs: Sequence[Prepared]
     ) -> tuple[list[pycolmap.Reconstruction], list[Finding]]:
-        """Models, the largest refined; where sides that look alike led it astray, anew.
-
-        A stretch that stood wrong ties others together, so that each model shows new suspects.
-        """
+        """Models, the largest refined; anew where sides that look alike led it astray."""
         telling = self._step("cameras", "placing cameras:")
         models = self._mapped(len(photographs), telling)
         if not models:
@@ -238,10 +229,7 @@ class _Copy:
 def prepare(
     root: Path, photographs: Sequence[Path], folder: Path, progress: Progress
 ) -> tuple[list[Prepared], list[Finding]]:
-    """Copy photographs upright, grey and small; one entry for each that is read and no repetition.
-
-    They are named by their paths below `root`. The copies go to `folder`.
-    """
+    """Copy photographs upright, grey and small; one entry for each that is read and no twin."""
     copies: list[_Copy] = []
     findings: list[Finding] = []
     broken: list[str] = []
@@ -277,7 +265,6 @@ def prepare(
 
 
 def _copy(root: Path, path: Path, target: Path) -> _Copy:
-    """Copy one photograph."""
     with header(path) as picture:
         exif = exif_values(picture)
         turn = orientation(picture)
@@ -310,7 +297,6 @@ def _grouped(copies: Sequence[_Copy]) -> list[Prepared]:
 
 
 def _remarks(copies: Sequence[_Copy]) -> list[Finding]:
-    """Notes on panoramas, lenses and EXIF data."""
     wide = [c.relative for c in copies if max(c.size) > _PANORAMA * min(c.size)]
     message = f"{len(wide)} photographs are much longer than high, as stitched panoramas are"
     cure = "Leave them out: a stitched picture has no single camera."

@@ -32,8 +32,7 @@ MORE_PHOTOGRAPHS = (
     "Walk around the object and take 30 to 100, each with at least two thirds of what the one "
     "before shows."
 )
-# up to this many photographs, all pairs are compared (7140 of them)
-MAX_EXHAUSTIVE = 120
+MAX_EXHAUSTIVE = 120  # photographs of which all pairs are compared (7140 of them)
 _TILE = 12  # photographs in a row and a column of one portion; each is loaded once a portion
 _NEIGHBOURS = 10  # pictures before and after one in a sequence that it is compared with
 _LOOP_PICTURES = 40  # of a sequence, evenly spaced, compared with each other to close loops
@@ -41,18 +40,14 @@ _MIN_FEATURES, _MAX_FEATURES = 2048, 8192  # number of features looked for in a 
 # pairs that can be matched at `_MIN_FEATURES` in about 100 CPU-seconds; fewer pairs, more features,
 # for the time of a pair goes with the square of their number
 _CHEAP_PAIRS = 2500
-# one focal length and one coefficient of distortion: what few photographs can still fix
-_CAMERA_MODEL = "SIMPLE_RADIAL"
+_CAMERA_MODEL = "SIMPLE_RADIAL"  # what few photographs can still fix
 _UNKNOWN_FOCAL = 1.2  # longer sides, where nothing is known; a phone's is about 0.8, a portrait 2
 _MIN_MODEL = 3  # photographs of the smallest model worth hearing about
-# scale of the Cauchy loss in mean reprojection errors: about the median one
-_ROBUST_SCALE = 0.7
+_ROBUST_SCALE = 0.7  # of the Cauchy loss in mean reprojection errors: about the median one
 _ITERATIONS = 50  # of the last adjustment at most
 _MIN_TO_CENTRE = 15  # photographs of a lens from which on its axis is looked for
-# a lens's axis this far from the middle, in longer sides, is a wrong solution
-_MAX_OFF_CENTRE = 0.06
-# each thread that looks for features holds a pyramid of its own in memory
-_THREADS = min(4, os.cpu_count() or 1)
+_MAX_OFF_CENTRE = 0.06  # longer sides from the middle at which a lens's axis is a wrong solution
+_THREADS = min(4, os.cpu_count() or 1)  # each holds a pyramid of its own in memory
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -167,10 +162,7 @@ def match(
 def map_cameras(
     place: Workplace, count: int, seed: int, progress: Progress
 ) -> list[pycolmap.Reconstruction]:
-    """Place so many cameras one by one; models, the one with the most photographs first.
-
-    One thread, for sums in another order would give another model from the same seed.
-    """
+    """Place so many cameras on one thread, for the sums' order; models, the largest first."""
     pycolmap = library()
     options = pycolmap.IncrementalPipelineOptions()
     options.num_threads = 1
@@ -210,9 +202,8 @@ def map_cameras(
 def refine(model: pycolmap.Reconstruction) -> pycolmap.Reconstruction:
     """A copy of a model, all cameras and points adjusted once more, robustly, lenses centred.
 
-    The mapper minimises squares, so that a few false matches bend focal length and distortion; and
-    it takes the middle of the picture for the lens's axis. The Cauchy loss cares for the first;
-    for the second there must be enough photographs of each lens.
+    A few false matches bend focal length and distortion in the mapper's squares, which the Cauchy
+    loss mends. Lenses are centred only if there are enough photographs of each.
     """
     pycolmap = library()
     counts = Counter(image.camera_id for image in model.images.values() if image.has_pose)

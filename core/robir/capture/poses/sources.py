@@ -20,28 +20,24 @@ from scipy import ndimage
 from robir.capture.capture import Finding
 from robir.capture.frames import IMAGE_SUFFIXES
 from robir.capture.images.decode import INSTALL_PHOTOS
-from robir.capture.images.regular import regular
 from robir.capture.masks.given import IGNORE, natural_order
 from robir.capture.readers.files import children, is_other, without_others
 from robir.capture.refusal import CaptureRefusedError, note, refuse, some
 from robir.capture.views import Progress
-from robir.jobs.names import UnsafeNameError, checked_name
+from robir.jobs.names import UnsafeNameError, checked_name, regular
 from robir.jobs.paths import replacing
 
 FRAMES = 100  # frames taken from a video at most
 MAX_BYTES = 1 << 35  # largest video
-# longer side in pixels of the picture that sharpness is measured on: noise must not count
-_SHARPNESS_SIDE = 480
-# largest frame, a little more than 8K: decoders keep up to sixteen of them
-_MAX_FRAME_PIXELS = 36_000_000
+_SHARPNESS_SIDE = 480  # longer side, pixels, that sharpness is measured at: noise must not count
+_MAX_FRAME_PIXELS = 36_000_000  # a little more than 8K: decoders keep up to sixteen frames
 _CONTAINERS: dict[str, str] = {
     **dict.fromkeys((".mp4", ".mov", ".m4v", ".3gp"), "mov"),
     **dict.fromkeys((".mkv", ".webm"), "matroska"),
     ".avi": "avi",
 }
 _PHOTO_FOLDERS = ("images", "image", "photos", "photographs", "input", "rgb")
-# millimetres; what a "35 mm equivalent" focal length refers to
-_SMALL_FORMAT_DIAGONAL = math.hypot(36.0, 24.0)
+_SMALL_FORMAT_DIAGONAL = math.hypot(36.0, 24.0)  # millimetres, of "35 mm equivalent"
 _MILLIMETRES = {2: 25.4, 3: 10.0, 4: 1.0}  # in a unit of EXIF's focal plane resolution
 
 
@@ -50,8 +46,7 @@ class StatedLens:
     """What EXIF data says about how a photograph was taken."""
 
     body: str = ""  # maker and model of the camera, empty if not stated
-    # focal lengths as stated; photographs of one setting share their intrinsics
-    setting: tuple[float, ...] = ()
+    setting: tuple[float, ...] = ()  # focal lengths as stated; one setting has one lens
     focal: float | None = None  # focal length in widths of the longer side, or None
 
 
@@ -61,11 +56,7 @@ def is_video(source: Path) -> bool:
 
 
 def find_photographs(source: Path) -> list[Path]:
-    """Photographs of a folder in natural order; empty if there are none.
-
-    Those in the folder itself count; without any, those in its folder of photographs, or, if it
-    has none of a usual name, in all its folders that do not hold masks.
-    """
+    """Photographs of a folder in natural order, else of its usual folders, else of all in it."""
     own = _photographs_in(source)
     if own:
         return own
@@ -147,8 +138,7 @@ def take_frames(video: Path, folder: Path, progress: Progress) -> list[Finding]:
     folder.mkdir(parents=True, exist_ok=True)
     taken = 0
     try:
-        # By its suffix alone: what FFmpeg tells from the content may be a list of other files.
-        kind = _CONTAINERS[video.suffix.lower()]
+        kind = _CONTAINERS[video.suffix.lower()]  # alone: content may name other files
         container: Any
         with regular(video, MAX_BYTES) as file, av.open(file, format=kind) as container:
             if not container.streams.video:

@@ -20,11 +20,10 @@ import numpy as np
 from msgspec import Meta
 
 from robir.capture.frames import MAX_NUMBER, Array, Distortion, FrameSet, Lens, checked_lens
-from robir.capture.images.regular import regular
-from robir.capture.readers.files import IMAGE_FOLDERS, children
+from robir.capture.readers.files import IMAGE_FOLDERS, Side, checked, children
 from robir.capture.readers.shots import Shot, frame_set, opencv_view, turned_by
-from robir.capture.readers.values import Side, checked
 from robir.capture.refusal import CaptureRefusedError, note, refuse
+from robir.jobs.names import regular
 
 # camera models by number: name, count of parameters (src/colmap/sensor/models.h of COLMAP)
 _MODELS = (

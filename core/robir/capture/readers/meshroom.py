@@ -12,6 +12,7 @@ later it is the offset from the middle; from 1.2.2 the focal length is in millim
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -20,9 +21,7 @@ import numpy as np
 from msgspec import Meta
 
 from robir.capture.frames import Array, Distortion, FrameSet, Lens, checked_lens
-from robir.capture.readers.files import load_json
-from robir.capture.readers.shots import Shot, frame_set, opencv_pose
-from robir.capture.readers.values import (
+from robir.capture.readers.files import (
     Identity,
     Point,
     Positive,
@@ -30,8 +29,10 @@ from robir.capture.readers.values import (
     Terms,
     Vector,
     checked,
+    load_json,
     sane_points,
 )
+from robir.capture.readers.shots import Shot, frame_set, opencv_pose
 from robir.capture.refusal import CaptureRefusedError, refuse, some
 
 _CURE = "Take cameras.sfm from the folder of Meshroom's StructureFromMotion node."
@@ -147,20 +148,12 @@ def _lens(path: Path, version: tuple[int, ...], entry: _Intrinsic) -> Lens:
     cx, cy = entry.principal_point
     if version >= (1, 2, 1):
         cx, cy = cx + 0.5 * entry.width, cy + 0.5 * entry.height
-    lens = Lens(
-        width=entry.width,
-        height=entry.height,
-        fx=focals[0],
-        fy=focals[1],
-        cx=cx + 0.5,
-        cy=cy + 0.5,
-        distortion=_distortion(path, entry),
-    )
+    lens = Lens(width=entry.width, height=entry.height, distortion=_distortion(path, entry))
+    lens = replace(lens, fx=focals[0], fy=focals[1], cx=cx + 0.5, cy=cy + 0.5)
     return checked_lens(lens, path, f"intrinsic {entry.intrinsic_id}")
 
 
 def _focals(version: tuple[int, ...], entry: _Intrinsic) -> tuple[float, float] | None:
-    """Focal lengths in pixels, or None where there are none."""
     pixels = entry.px_focal_length
     if version < (1, 2, 0):
         return (pixels, pixels) if isinstance(pixels, float) and pixels > 0 else None

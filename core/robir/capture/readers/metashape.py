@@ -22,15 +22,15 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 from xml.etree.ElementTree import Element  # nosec B405
 
 import numpy as np
 
 from robir.capture.capture import Finding
 from robir.capture.frames import Array, Distortion, FrameSet, Lens, checked_lens
-from robir.capture.readers.files import load_xml
+from robir.capture.readers.files import Side, checked, load_xml
 from robir.capture.readers.shots import Shot, frame_set, opengl_pose, rolling_shutter
-from robir.capture.readers.values import Side, checked
 from robir.capture.refusal import CaptureRefusedError, note, refuse, some, warning
 
 _CURE = "Export the cameras as Agisoft XML again (File > Export > Export Cameras)."
@@ -125,7 +125,6 @@ def _is_rolling(sensor: Element) -> bool:
 
 
 def _numbers(path: Path, element: Element | None, count: int, what: str) -> Array:
-    """Numbers in an element's text, (count,)."""
     text = "" if element is None or element.text is None else element.text
     try:
         values = np.array([float(word) for word in text.split()])
@@ -195,32 +194,27 @@ def _lens(path: Path, sensor: Element | None, label: str) -> Lens:
     resolution = sensor.find("resolution") if resolution is None else resolution
     size = {} if resolution is None else resolution.attrib
     sides, where = [size.get("width", ""), size.get("height", "")], "the resolution of the sensor"
-    code, where = "bad-intrinsics", f"{where} of {label}"
-    kinds = tuple[Side, Side]
-    width, height = checked(path, sides, kinds, _CURE, where=where, code=code, is_text=True)
-    value = {
-        key: 0.0
-        if calibration.find(key) is None
-        else float(_numbers(path, calibration.find(key), 1, f"{key} of {label}")[0])
-        for key in _CALIBRATION
+    how: dict[str, Any] = {
+        "where": f"{where} of {label}",
+        "code": "bad-intrinsics",
+        "is_text": True,
     }
+    width, height = checked(path, sides, tuple[Side, Side], _CURE, **how)
+    value = dict.fromkeys(_CALIBRATION, 0.0)
+    for key in _CALIBRATION:
+        if calibration.find(key) is not None:
+            value[key] = float(_numbers(path, calibration.find(key), 1, f"{key} of {label}")[0])
     if value["p3"] or value["p4"]:
         raise _unsupported(path, label, "with P3 and P4")
     fx = value["f"] + value["b1"]
-    lens = Lens(
-        width=width,
-        height=height,
-        fx=fx,
-        fy=value["f"],
-        cx=0.5 * width + value["cx"],
-        cy=0.5 * height + value["cy"],
-        distortion=Distortion(
-            radial=(value["k1"], value["k2"], value["k3"], value["k4"]),
-            tangential=(value["p2"], value["p1"]),
-            skew=value["b2"] / fx if fx > 0 else 0.0,
-            is_fisheye=kind != "frame",
-        ),
+    cx, cy = 0.5 * width + value["cx"], 0.5 * height + value["cy"]
+    bent = Distortion(
+        radial=(value["k1"], value["k2"], value["k3"], value["k4"]),
+        tangential=(value["p2"], value["p1"]),
+        skew=value["b2"] / fx if fx > 0 else 0.0,
+        is_fisheye=kind != "frame",
     )
+    lens = Lens(width=width, height=height, fx=fx, fy=value["f"], cx=cx, cy=cy, distortion=bent)
     return checked_lens(lens, path, label)
 
 

@@ -14,6 +14,12 @@ from msgspec import Meta
 from robir.capture.frames import FrameSet, Lens
 from robir.capture.readers.files import (
     IMAGE_FOLDERS,
+    Nine,
+    Number,
+    Positive,
+    Side,
+    Sixteen,
+    checked,
     children,
     head,
     load_json,
@@ -21,7 +27,6 @@ from robir.capture.readers.files import (
     pictures_in,
 )
 from robir.capture.readers.shots import Shot, frame_set, opencv_pose, opengl_pose, turned_by
-from robir.capture.readers.values import Nine, Number, Positive, Side, Sixteen, checked
 from robir.capture.refusal import note, refuse, some, warning
 
 # Polycam's raw data are keyframes with one JSON file a camera: fx, fy, cx, cy, width, height and
@@ -196,10 +201,7 @@ class _Odometry(msgspec.Struct):
 
 
 def read_stray_scanner(path: Path, taken: Path | None = None) -> FrameSet:
-    """Read the poses of the frames that were taken out of the video of Stray Scanner.
-
-    They are in one of the usual folders, or in the one given.
-    """
+    """Poses of the frames of Stray Scanner's video, in a usual folder or in the one given."""
     root = path.parent
     places = [taken] if taken else [root / name for name in reversed(IMAGE_FOLDERS)]
     files = [file for place in places for file in pictures_in(place)]

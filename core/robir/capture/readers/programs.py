@@ -13,9 +13,7 @@ from msgspec import Meta
 from scipy.spatial.transform import Rotation
 
 from robir.capture.frames import Array, Distortion, FrameSet, Lens
-from robir.capture.readers.files import load_json, parsed
-from robir.capture.readers.shots import Shot, frame_set, opencv_pose, opencv_view, opengl_pose
-from robir.capture.readers.values import (
+from robir.capture.readers.files import (
     Number,
     Point,
     Positive,
@@ -24,8 +22,11 @@ from robir.capture.readers.values import (
     Turn,
     Vector,
     checked,
+    load_json,
+    parsed,
     sane_points,
 )
+from robir.capture.readers.shots import Shot, frame_set, opencv_pose, opencv_view, opengl_pose
 from robir.capture.refusal import note, refuse, some
 
 # OpenSfM and OpenDroneMap: reconstruction.json. A shot holds the rotation (axis times angle) and
@@ -106,19 +107,11 @@ def _sfm_lens(path: Path, camera: _SfmCamera) -> Lens:
     longer = max(camera.width, camera.height)
     terms = (camera.k1, camera.k2, camera.k3, camera.k4)
     k1, k2, k3, k4 = (*terms[: _RADIAL[kind]], 0.0, 0.0, 0.0)[:4]
-    return Lens(
-        width=camera.width,
-        height=camera.height,
-        fx=fx * longer,
-        fy=fy * longer,
-        cx=0.5 * camera.width + camera.c_x * longer,
-        cy=0.5 * camera.height + camera.c_y * longer,
-        distortion=Distortion(
-            radial=(k1, k2, k3, k4),
-            tangential=(camera.p1, camera.p2) if kind == "brown" else (0.0, 0.0),
-            is_fisheye=kind.startswith("fisheye"),
-        ),
-    )
+    cx, cy = 0.5 * camera.width + camera.c_x * longer, 0.5 * camera.height + camera.c_y * longer
+    bent = Distortion(radial=(k1, k2, k3, k4), is_fisheye=kind.startswith("fisheye"))
+    bent = replace(bent, tangential=(camera.p1, camera.p2)) if kind == "brown" else bent
+    lens = Lens(width=camera.width, height=camera.height, distortion=bent)
+    return replace(lens, fx=fx * longer, fy=fy * longer, cx=cx, cy=cy)
 
 
 # OpenMVG: sfm_data.json, as cereal writes it. Poses hold the rotation from world to camera with

@@ -36,6 +36,8 @@ from robir.capture.frames import Array, Distortion, FrameSet, Lens
 from robir.capture.images.decode import stored_size
 from robir.capture.readers.files import (
     IMAGE_FOLDERS,
+    Number,
+    checked,
     children,
     head,
     load_table,
@@ -44,7 +46,6 @@ from robir.capture.readers.files import (
     pictures_in,
 )
 from robir.capture.readers.shots import Shot, frame_set, opencv_pose, opengl_pose
-from robir.capture.readers.values import Number, checked
 from robir.capture.refusal import refuse, some
 
 _SIGNATURE = frozenset({"name", "heading", "pitch", "roll"})
@@ -120,22 +121,14 @@ def rotation(heading: float, pitch: float, roll: float) -> Array:
 def _film_lens(
     photograph: Path, focal: float, middle: tuple[float, float], distortion: Distortion
 ) -> Lens:
-    """Intrinsics in pixels of a photograph as stored; any will do if it cannot be opened.
-
-    The focal length is for a frame 36 wide, the principal point's offset in longer sides.
-    """
+    """Intrinsics in pixels of focal length on a frame 36 wide and offset in longer sides."""
     size = stored_size(photograph) if photograph.is_file() else None
     if size is None:
         return Lens(angle_x=1.0)
     (width, height), longer = size, max(size)
-    return Lens(
-        width=width,
-        height=height,
-        fx=focal * longer / _FILM,
-        cx=0.5 * width + middle[0] * longer,
-        cy=0.5 * height + middle[1] * longer,
-        distortion=distortion,
-    )
+    cx, cy = 0.5 * width + middle[0] * longer, 0.5 * height + middle[1] * longer
+    fx = focal * longer / _FILM
+    return Lens(width=width, height=height, fx=fx, cx=cx, cy=cy, distortion=distortion)
 
 
 def is_sidecar(path: Path) -> bool:

@@ -29,8 +29,7 @@ class Shot:
     name: str  # name or path of the photograph as the program writes it, with or without suffix
     lens: Lens  # intrinsics as stated
     pose: Array  # camera-to-world, (4, 4), OpenGL axes
-    # where the photograph lies if the name is a path, or None to look for it by name
-    image: Path | None = None
+    image: Path | None = None  # where it lies, or None to look for it by name
     mask: str | None = None  # path of its mask as the program writes it, or None
     split: Literal["train", "test"] = "train"  # "test" if the program holds it out
 
@@ -42,18 +41,7 @@ def frame_set(
     findings: Sequence[Finding] = (),
     points: Array | None = None,
 ) -> FrameSet:
-    """Find the photographs that cameras name, and name the frames.
-
-    Photographs whose place is stated are looked for by name if none of them is there, as for a file
-    from another machine.
-
-    Args:
-        path: File of poses.
-        form: Name of the format.
-        shots: Its cameras.
-        findings: What the reader noticed.
-        points: Sparse points, (N, 3), capture frame, or None.
-    """
+    """Frames of the photographs that cameras name, looked for by name if none is where stated."""
     if not shots:
         message = f"{path} holds no camera with a pose"
         cure = "Let the program that wrote it find the cameras, and export them again."

@@ -32,16 +32,7 @@ from msgspec import Meta
 
 from robir.capture.capture import Finding
 from robir.capture.frames import IMAGE_SUFFIXES, MAX_NUMBER, Array, Distortion, FrameSet, Lens
-from robir.capture.readers.files import children, head, load_json
-from robir.capture.readers.shots import (
-    Shot,
-    frame_set,
-    is_file,
-    opencv_pose,
-    opengl_pose,
-    rolling_shutter,
-)
-from robir.capture.readers.values import (
+from robir.capture.readers.files import (
     Matrix,
     Number,
     Positive,
@@ -50,8 +41,19 @@ from robir.capture.readers.values import (
     Turn,
     Vector,
     checked,
+    children,
+    head,
+    load_json,
     matrix_of,
     missing_key,
+)
+from robir.capture.readers.shots import (
+    Shot,
+    frame_set,
+    is_file,
+    opencv_pose,
+    opengl_pose,
+    rolling_shutter,
 )
 from robir.capture.refusal import note, refuse, some
 
@@ -110,11 +112,7 @@ def looks_like(path: Path) -> bool:
 
 
 def read_synthetic(root: Path) -> FrameSet:
-    """Read a NeRF-synthetic folder; test views come from the test file, else the val file.
-
-    A test file whose photographs are all absent holds cameras to be rendered, as BlenderNeRF writes
-    it, and is left out.
-    """
+    """A NeRF-synthetic folder; test views are of the test file, else of val, with photographs."""
     path = root / TRAIN
     shots, findings = _shots(path, _load(path))
     tests = [root / name for name in ("transforms_test.json", "transforms_val.json")]
@@ -134,10 +132,7 @@ def _are_there(shots: Sequence[Shot]) -> bool:
 
 
 def read(path: Path) -> FrameSet:
-    """Read poses, intrinsics, masks and splits of nerfstudio or instant-ngp.
-
-    Poses are in the frame from before `applied_transform`.
-    """
+    """Poses before `applied_transform`, lenses, masks and splits of nerfstudio or instant-ngp."""
     content = _load(path)
     undo = _undoing(path, content)
     shots, findings = _shots(path, content)
@@ -230,17 +225,10 @@ def _lens(path: Path, content: Any, entry: Any, where: str) -> Lens:
     bent = Distortion(radial=(k1, k2, k3, k4), tangential=(p1, p2), is_fisheye=is_fisheye)
     if k5 or k6 or model == _RATIONAL_MODEL:
         bent = Distortion(radial=(k1, k2, k3, 0.0), rational=(k4, k5, k6), tangential=(p1, p2))
-    return Lens(
-        width=int(stated["w"]) if "w" in stated else None,
-        height=int(stated["h"]) if "h" in stated else None,
-        fx=fx,
-        fy=stated.get("fl_y"),
-        cx=stated.get("cx"),
-        cy=stated.get("cy"),
-        angle_x=angle_x,
-        angle_y=stated.get("camera_angle_y"),
-        distortion=bent,
-    )
+    keys = {"fy": "fl_y", "cx": "cx", "cy": "cy", "angle_y": "camera_angle_y"}
+    found: dict[str, Any] = {name: stated.get(key) for name, key in keys.items()}
+    width, height = (int(stated[key]) if key in stated else None for key in ("w", "h"))
+    return Lens(width=width, height=height, fx=fx, angle_x=angle_x, **found, distortion=bent)
 
 
 def _undoing(path: Path, content: Any) -> Callable[[Array], Array]:

@@ -1,21 +1,59 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The report's numbers."""
+"""What the report is made of, and its numbers."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robir import __version__
+from robir.capture.capture import Capture
 from robir.evaluation.light_scores import RecoveredLight
 from robir.evaluation.photos import Exposures, mean_scores, photo_scores, read_picture
-from robir.export.environment import light_told
-from robir.export.report.products import Products
-from robir.export.textures import UNCERTAINTY_AT_255
+from robir.export.exchange import light_told
+from robir.export.textures import UNCERTAINTY_AT_255, Part
 from robir.export.trust import paint, quality, rivals, shown
+from robir.geometry.mesh.triangles import Mesh
 from robir.jobs.paths import JobPaths, read_json
+
+Array = NDArray[np.floating[Any]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rendering:
+    """What Blender made for the report."""
+
+    rerenders: dict[str, Path] = field(default_factory=dict)  # Cycles, held-out views
+    relit: dict[str, Path] = field(default_factory=dict)  # Cycles, another light
+    relit_with: str = ""  # name of that light
+    missing: tuple[str, ...] = ()  # sentences on what could not be made and how to get it
+    # "wall" and "cpu" spent in Blender
+    seconds: dict[str, float] = field(default_factory=lambda: {"wall": 0.0, "cpu": 0.0})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Products:
+    """What the report shows."""
+
+    capture: Capture  # the photographs, those under another light left out
+    mesh: Mesh  # the surface, capture frame
+    parts: tuple[Part, ...]  # the asset as its GLB file has it
+    arrays: dict[str, Array]  # textures as the appearance stage left them
+    light: RecoveredLight  # recovered light
+    tone_curve: dict[str, Any]  # contents of export/tone_curve.json
+    choices: list[dict[str, Any]]  # contents of the choices.json of geometry and appearance
+    evidence: list[dict[str, Any]]  # contents of the evidence.json of appearance
+    last_word: dict[str, Any] | None  # of its last_word.json; None where photographs were not heard
+    exposure: dict[str, Any]  # contents of the appearance stage's exposure.json
+    rendering: Rendering  # Blender's part
+    # "wall" and "cpu" that the export itself has taken so far, asked for at the end
+    seconds: Callable[[], dict[str, float]]
+
 
 Array = NDArray[np.floating[Any]]
 Picture = NDArray[np.uint8]
@@ -37,14 +75,11 @@ def report_numbers(paths: JobPaths, products: Products, own: dict[str, Picture])
     held_out = mean_scores(
         [photo_scores(image, by_name[name]) for name, image in own.items() if name in by_name]
     )
-    cycles = mean_scores(
-        [
-            photo_scores(
-                exposures.as_photographed(read_picture(file), by_name[name]), by_name[name]
-            )
-            for name, file in rendering.rerenders.items()
-        ]
-    )
+    files = [(by_name[name], read_picture(file)) for name, file in rendering.rerenders.items()]
+    shots = [(view, exposures.as_photographed(picture, view)) for view, picture in files]
+    cycles = mean_scores([photo_scores(picture, view) for view, picture in shots])
+    left_open = rivals(products.tone_curve["candidates"])
+    left_open |= paint(products.evidence) | shown(products.last_word)
     curve = {name: value for name, value in products.tone_curve.items() if name != "samples"}
     seconds = {stage: run["seconds"][stage] for stage in run["seconds"] if stage != "export"}
     return {
@@ -59,15 +94,7 @@ def report_numbers(paths: JobPaths, products: Products, own: dict[str, Picture])
         "device": run["device"],
         "preset": run["preset"],
         "seed": run["seed"],
-        "trust": quality(
-            capture,
-            products.mesh,
-            products.arrays,
-            held_out["psnr"],
-            rivals(products.tone_curve["candidates"])
-            | paint(products.evidence)
-            | shown(products.last_word),
-        ),
+        "trust": quality(capture, products.mesh, products.arrays, held_out["psnr"], left_open),
         "held_out": held_out,
         "cycles": cycles,
         "tone_curve": curve,
@@ -90,18 +117,11 @@ def report_numbers(paths: JobPaths, products: Products, own: dict[str, Picture])
 
 
 def exposure_summary(exposure: dict[str, Any]) -> dict[str, Any]:
-    """How photographs were exposed, for report.json.
+    """How photographs were exposed, for report.json, by the contents of exposure.json.
 
-    Args:
-        exposure: "steps" (log2) of each channel by the view's name, empty where all are alike, and
-            "corner_steps" by which the corners of all are darker than the middle, and
-            "other_light", names of the photographs that were left out for it; "slope_steps" of
-            each where they are in lights of their own.
-
-    Returns:
-        "is_even"; "own_lights"; "other_light"; "spread_steps", standard deviation of the exposures;
-        "views" by name, brightest first, each with its "exposure" (mean of the channels) and the
-        "white_balance" of red and blue against green, in steps; "corner_steps".
+    "is_even"; "own_lights"; "other_light"; "spread_steps", standard deviation of the exposures in
+    stops; "views" by name, brightest first, each with its "exposure" (mean of the channels) and the
+    "white_balance" of red and blue against green, in stops; "corner_steps".
     """
     views = {
         name: {

@@ -1,13 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The report's pictures of views, cut to the object, and the small one for a contact sheet."""
+"""The report's pictures of views, the small one for a contact sheet, and what its 3D viewer shows.
+
+The viewer is <model-viewer> 4.4.0 as npm ships it (`model_viewer/`, Apache-2.0). It takes data
+addresses, so that the page needs neither a network nor files beside it.
+"""
 
 from __future__ import annotations
 
 import base64
-import io
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
@@ -17,23 +24,25 @@ from robir.capture.camera import Camera
 from robir.capture.capture import View
 from robir.evaluation.layers import Layers
 from robir.evaluation.light_scores import RecoveredLight
-from robir.evaluation.photos import read_picture
-from robir.evaluation.sheet import (
+from robir.evaluation.photos import (
     BACKGROUND,
     cut,
     display_codes,
     layer_pictures,
     over_grey,
+    read_picture,
     window,
 )
-from robir.export.report.products import Rendering
+from robir.export.gltf import glb_bytes
+from robir.export.report.numbers import Rendering
+from robir.export.textures import Codes, Part, encoded
+from robir.geometry.mesh.triangles import Mesh
 from robir.jobs.paths import JobPaths, replacing
+from robir.maths.vectors import equirect_directions
 
 Picture = NDArray[np.uint8]
 
-CONTACT_SIDE = 160
-"""Side of each of the four pictures of `contact.jpg`, pixels."""
-
+CONTACT_SIDE = 160  # side of each of the four pictures of `contact.jpg`, pixels
 _SIDE = 560  # longer side of a view's picture, pixels: as much as an enlarged one shows
 _MAX_ROWS = 4
 _QUALITY = 86
@@ -67,8 +76,12 @@ def row_of_view(
         "relit": None if relit is None else read_picture(relit),
     }
     frame = window(view.mask)
+
+    def webp(picture: Picture) -> str:
+        return data_address("image/webp", encoded(picture, format="WEBP", quality=_QUALITY))
+
     shown = {
-        name: None if picture is None else _inline_webp(cut(picture, frame, _SIDE))
+        name: None if picture is None else webp(cut(picture, frame, _SIDE))
         for name, picture in pictures.items()
     }
     return {"name": view.name, "rerender_by": how if again is not None else "", **shown}
@@ -90,11 +103,7 @@ def _alpha(layers: Layers) -> Picture:
 def write_contact(
     path: Path, view: View, layers: Layers, own: dict[str, Picture], rendering: Rendering
 ) -> None:
-    """Write a view's photograph, re-render, albedo and relit picture as one small picture.
-
-    Where nothing was relit the last one is trust: white where albedo is certain, black where its
-    standard error reaches one natural-log unit.
-    """
+    """Write a photograph, its re-render, albedo, and relit or trust (white is sure) in small."""
     alpha, frame = _alpha(layers), window(view.mask)
     pictures = [np.dstack([view.image_display, view.mask]), _rerender(view, own, rendering)[0]]
     pictures.append(np.dstack([layer_pictures(layers)["albedo"], alpha]))
@@ -127,7 +136,7 @@ def environment_picture(light: RecoveredLight) -> Picture:
 
 def inline_lossless(picture: Picture) -> str:
     """A picture of numbers as a data address."""
-    return data_address("image/png", _encoded(picture, format="PNG"))
+    return data_address("image/png", encoded(picture, format="PNG"))
 
 
 def data_address(kind: str, content: bytes) -> str:
@@ -135,11 +144,111 @@ def data_address(kind: str, content: bytes) -> str:
     return f"data:{kind};base64," + base64.b64encode(content).decode("ascii")
 
 
-def _inline_webp(picture: Picture) -> str:
-    return data_address("image/webp", _encoded(picture, format="WEBP", quality=_QUALITY))
+Array = NDArray[np.floating[Any]]
+
+VIEWER_SCRIPT = Path(__file__).parent / "model_viewer" / "model-viewer.min.js"
+
+_MOST_TEXELS = 1024  # along a side of a texture of the copy: a page shows no more
+_JPEG_QUALITY = 88
+_ROWS = 64  # of an environment picture; reflections of a page's size need no more
 
 
-def _encoded(picture: Picture, **how: Any) -> bytes:
-    stream = io.BytesIO()
-    Image.fromarray(picture).save(stream, **how)
-    return stream.getvalue()
+@dataclass(frozen=True, slots=True)
+class _Lamp:
+    """A round patch of even radiance."""
+
+    azimuth: float  # degrees from +X towards +Y
+    elevation: float  # degrees
+    radius: float  # degrees
+    radiance: tuple[float, float, float]  # linear Rec.709
+
+
+@dataclass(frozen=True, slots=True)
+class _Light:
+    """A light of our own: radiance at the nadir, horizon and zenith, and lamps."""
+
+    name: str
+    below: tuple[float, float, float]
+    horizon: tuple[float, float, float]
+    above: tuple[float, float, float]
+    lamps: tuple[_Lamp, ...]
+
+
+_LIGHTS = (
+    _Light(
+        "Studio", (0.15, 0.15, 0.15), (0.3, 0.3, 0.3), (0.5, 0.5, 0.5),
+        (
+            _Lamp(40.0, 45.0, 26.0, (14.0, 13.4, 12.6)),
+            _Lamp(150.0, 25.0, 22.0, (4.0, 4.3, 4.8)),
+            _Lamp(-80.0, 35.0, 18.0, (7.0, 7.0, 7.0)),
+        ),
+    ),
+    _Light(
+        "Sunny day", (0.25, 0.22, 0.18), (0.8, 0.9, 1.0), (0.35, 0.55, 1.0),
+        (_Lamp(-35.0, 48.0, 4.0, (380.0, 350.0, 300.0)),),
+    ),
+    _Light(
+        "Evening", (0.05, 0.05, 0.07), (0.55, 0.3, 0.2), (0.1, 0.14, 0.32),
+        (
+            _Lamp(120.0, 9.0, 8.0, (90.0, 42.0, 14.0)),
+            _Lamp(-60.0, 30.0, 25.0, (0.5, 0.7, 1.4)),
+        ),
+    ),
+)  # fmt: skip
+
+
+def embedded_asset(parts: Iterable[Part]) -> str:
+    """The asset as a data address, its textures as JPEG and no larger than a page shows."""
+    return data_address("model/gltf-binary", glb_bytes(parts, "asset", _jpeg))
+
+
+def _jpeg(image: Codes) -> tuple[bytes, str]:
+    picture = Image.fromarray(image)
+    picture.thumbnail((_MOST_TEXELS, _MOST_TEXELS))
+    return encoded(np.asarray(picture), format="JPEG", quality=_JPEG_QUALITY), "image/jpeg"
+
+
+def embedded_lights(light: RecoveredLight) -> list[tuple[str, str]]:
+    """Names of the lights, the recovered one first, and each as the address of a Radiance file."""
+    made = [("Recovered", light.environment(_ROWS))]
+    made += [(one.name, _environment(one)) for one in _LIGHTS]
+    return [(name, _radiance(image)) for name, image in made]
+
+
+def start_orbit(camera: Camera, mesh: Mesh) -> str:
+    """Whence the viewer looks first, as it is written there: as the first photograph does."""
+    middle = 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
+    x, y, z = camera.camera_to_world[:3, 3] - middle
+    around = math.degrees(math.atan2(x, -y))
+    down = math.degrees(math.atan2(math.hypot(x, y), z))
+    return f"{around:.1f}deg {down:.1f}deg auto"
+
+
+def _environment(light: _Light) -> Array:
+    """Lat-long radiance (_ROWS, 2 _ROWS, 3) in Blender's world frame."""
+    directions = equirect_directions(_ROWS).numpy()
+    height = directions[..., 2:]
+    horizon = np.array(light.horizon)
+    pole = np.where(height > 0, np.array(light.above), np.array(light.below))
+    image = horizon + (pole - horizon) * np.abs(height) ** 0.5
+    texel = 90.0 / _ROWS
+    for lamp in light.lamps:
+        around, up = math.radians(lamp.azimuth), math.radians(lamp.elevation)
+        axis = [math.cos(up) * math.cos(around), math.cos(up) * math.sin(around), math.sin(up)]
+        angle = np.degrees(np.arccos(np.clip(directions @ np.array(axis), -1.0, 1.0)))
+        # an edge as wide as two texels keeps a small lamp's energy wherever it falls
+        share = np.clip(0.5 + (lamp.radius - angle) / (2 * texel), 0.0, 1.0)[..., None]
+        image = image + share * np.array(lamp.radiance)
+    return image
+
+
+def _radiance(image: Array) -> str:
+    """A Radiance picture, its mean over the sphere 1, so that all lights are about as bright."""
+    edges = np.sin(np.pi * (0.5 - np.arange(len(image) + 1) / len(image)))
+    share = (edges[:-1] - edges[1:])[:, None, None] / (2 * image.shape[1])
+    mean = float((image * share).sum() / 3)
+    codes = np.ascontiguousarray(image[..., ::-1] / max(mean, 1e-9), np.float32)
+    done, encoded = cv2.imencode(".hdr", codes)
+    assert done
+    # the viewer knows the format by the address's end
+    return data_address("image/vnd.radiance", encoded.tobytes()) + "#.hdr"

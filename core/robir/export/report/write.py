@@ -11,41 +11,33 @@ from typing import Any
 from markupsafe import Markup
 
 from robir.evaluation.layers import view_layers
-from robir.evaluation.level_table import LEVEL_HEAD, level_cells, level_notes
+from robir.evaluation.levels import LEVEL_HEAD, level_cells, level_notes
 from robir.export.page import page_template
-from robir.export.report.numbers import report_numbers
+from robir.export.report.numbers import Products, report_numbers
 from robir.export.report.pictures import (
+    VIEWER_SCRIPT,
     data_address,
+    embedded_asset,
+    embedded_lights,
     environment_picture,
     fine,
     inline_lossless,
     own_rerenders,
     row_of_view,
     shown_views,
+    start_orbit,
     write_contact,
 )
-from robir.export.report.products import Products
-from robir.export.report.viewer import (
-    VIEWER_SCRIPT,
-    embedded_asset,
-    embedded_lights,
-    start_orbit,
-)
-from robir.export.tiles import shown_texture
+from robir.export.textures import shown_texture
 from robir.jobs.paths import JobPaths, replacing, write_json
 
 _LEVELS_START, _LEVELS_END = '<section id="levels">', "</section>"
 _SCRIPT = re.compile(r"<script[^>]*>(.*?)</script>", re.DOTALL)
-_ALLOWED = "HASHES"
-"""Stands in the page for the scripts that a browser may run, until they are known."""
+_ALLOWED = "HASHES"  # stands for the scripts that may run, until they are known
 
 
 def write_report(paths: JobPaths, products: Products) -> dict[str, Any]:
-    """Write report/index.html, report/report.json and report/contact.jpg.
-
-    Returns:
-        The JSON's content.
-    """
+    """Write report/index.html, report/report.json and report/contact.jpg; the JSON's content."""
     views = products.capture.held_out or products.capture.train
     own = own_rerenders(paths)
     shown = shown_views(views, products.rendering)
@@ -116,12 +108,7 @@ def _size(count: int) -> str:
 
 
 def show_levels(paths: JobPaths, levels: dict[str, Any]) -> None:
-    """Put the levels' table and pictures into a report that is there already.
-
-    Args:
-        paths: Result folder; without a report nothing happens.
-        levels: As `robir.evaluation.levels.level_scores` gives them.
-    """
+    """Put the table and pictures of `level_scores` into a report that is there already, if any."""
     if not paths.report.is_file():
         return
     section = page_template("robir.export", "levels.html").render(

@@ -18,8 +18,7 @@ from torch import Tensor
 
 from robir.capture.camera import Camera
 from robir.capture.capture import Bounds, Capture, View
-from robir.capture.images.loading import size_within
-from robir.capture.images.preview import save_preview
+from robir.capture.images.loading import save_preview, size_within
 from robir.errors import QualityError
 from robir.geometry.lattice import Lattice, Sampled, resample
 from robir.geometry.mesh.isosurface import extract
