@@ -73,8 +73,8 @@ def test_masks_of_a_capture_without_masks_are_the_silhouettes(tmp_path, shots):
         assert np.array_equal(one.mask, two.mask)
 
 
-def test_check_tells_what_would_be_guessed_and_writes_nothing(tmp_path, shots):
-    source = scene.save_nerfstudio(tmp_path / "capture", shots)
+def test_check_tells_what_would_be_guessed_and_writes_nothing(tmp_path):
+    source = scene.save_nerfstudio(tmp_path / "capture", scene.photographs(8))
     capture, findings, _ = check_capture(source, None, SMALL)
     assert capture is not None
     assert "folder masks of the result" in _found(findings, "guessed-masks").message
