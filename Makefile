@@ -210,19 +210,21 @@ validator: setup
 	    --silent --no-fund --no-audit --prefix $(VENV) gltf-validator@$(VALIDATOR) || \
 	  echo "******** GLB FILES ARE NOT VALIDATED: gltf-validator cannot be had ********"
 
-# One process of tests keeps one core busy: two do half of the folders each, the second after the
-# linters and further versions of Blender. What it says is shown once the first has ended.
-BESIDE := $(addprefix tests/,addon batch bench end_to_end evaluation export hostile jobs pipeline scenes)
+# Two processes of tests keep two cores busy: folders that take long have one each, the longest
+# first, and the last one tests all others. What each says is shown when it ends.
+LONG := addon capture end_to_end geometry hostile scenes appearance batch pipeline bench
+PARTS := $(addprefix test-,$(LONG)) test-others
+TOGETHER := $(if $(filter output-sync,$(.FEATURES)),--output-sync=target)
 
 test: setup validator
-	@mkdir -p build; rm -f build/unlinted; \
-	{ $(MAKE) -s lint || touch build/unlinted; \
-	  $(MAKE) -s blenders && exec $(BIN)/python -m pytest -q $(BESIDE); } >build/beside.log 2>&1 & \
-	beside=$$!; trap 'kill $$beside 2>/dev/null' EXIT; \
-	tested=0; $(BIN)/python -m pytest -q $(addprefix --ignore=,$(BESIDE)) || tested=$$?; \
-	waited=0; wait $$beside || waited=$$?; \
-	cat build/beside.log; \
-	test $$tested -eq 0 && test $$waited -eq 0 && test ! -e build/unlinted
+	@$(MAKE) -s --no-print-directory --keep-going --jobs=2 $(TOGETHER) $(PARTS) lint
+
+.PHONY: $(PARTS)
+$(PARTS): setup
+	@echo "== $@"; $(BIN)/python -m pytest -q $(TESTED)
+$(PARTS): TESTED = tests/$(@:test-%=%)
+test-others: TESTED = $(LONG:%=--ignore=tests/%)
+test-addon: blenders
 
 fast: lint
 	$(BIN)/python -m pytest -q -m 'not slow'

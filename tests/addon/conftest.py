@@ -28,13 +28,29 @@ def extension_zip(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return file
 
 
+def found_or_skipped(series: str) -> blenders.Blender:
+    found = blenders.find_blender(series)
+    if found is None:
+        pytest.skip(f"no Blender {series} on this machine; make blenders fetches it")
+    return found
+
+
+@pytest.fixture
+def oldest() -> blenders.Blender:
+    """The oldest supported Blender, where one of both is enough."""
+    return found_or_skipped(blenders.VERSIONS[0])
+
+
+@pytest.fixture
+def newest() -> blenders.Blender:
+    """The newest, likewise."""
+    return found_or_skipped(blenders.VERSIONS[-1])
+
+
 @pytest.fixture(params=(blenders.VERSIONS[0], blenders.VERSIONS[-1]))
 def blender(request: pytest.FixtureRequest) -> blenders.Blender:
     """The oldest and the newest supported Blender; one that is not here is skipped."""
-    found = blenders.find_blender(request.param)
-    if found is None:
-        pytest.skip(f"no Blender {request.param} on this machine; make blenders fetches it")
-    return found
+    return found_or_skipped(request.param)
 
 
 @pytest.fixture(scope="session")

@@ -113,8 +113,8 @@ def test_a_capture_is_looked_at_and_put_away(blender, session, capture, shots, t
     check_faults(answer, bad, missing)
 
 
-def test_a_box_about_the_object_goes_to_the_engine(blender, session, capture):
-    answer = session(blender, "box", capture)
+def test_a_box_about_the_object_goes_to_the_engine(oldest, session, capture):
+    answer = session(oldest, "box", capture)
     assert answer["without"] == answer["deleted"] == []
     assert answer["added"] == [["FINISHED"], ""] and answer["selected"] == ["Object box"]
     np.testing.assert_allclose(answer["first"][:3], AIM, atol=0.15)

@@ -50,10 +50,10 @@ def captures(tmp_path_factory):
     return plain, deep, model
 
 
-def test_dropped_kept_and_gone(blender, extension_zip, captures, tmp_path):
+def test_dropped_kept_and_gone(newest, extension_zip, captures, tmp_path):
     plain, deep, model = captures
     answer = run(
-        blender, SESSION, str(extension_zip), sys.executable, str(plain), str(model),
+        newest, SESSION, str(extension_zip), sys.executable, str(plain), str(model),
         user=tmp_path / "user",
     )  # fmt: skip
     dropped = answer["dropped"]

@@ -85,7 +85,7 @@ SPOILT = {
 }
 
 
-def test_only_whole_files_are_shown_and_nothing_is_left_behind(blender, session, tmp_path):
+def test_only_whole_files_are_shown_and_nothing_is_left_behind(newest, session, tmp_path):
     photo, root = tmp_path / "photo.png", tmp_path / "out"
     Image.new("RGB", (48, 48)).save(photo)
     root.mkdir()
@@ -94,7 +94,7 @@ def test_only_whole_files_are_shown_and_nothing_is_left_behind(blender, session,
         (tmp_path / name).write_bytes(content)
     good, other = tmp_path / "good", tmp_path / "other"
     spoilt = "\n".join(str(tmp_path / name) for name in SPOILT)
-    answer = session(blender, "files", photo, root, good, other, spoilt)
+    answer = session(newest, "files", photo, root, good, other, spoilt)
     assert answer["without a capture"] == NOTHING
     shown = answer["before"]
     assert (shown["objects"], shown["meshes"], shown["faces"]) == (1, 1, len(FACES))

@@ -51,12 +51,12 @@ def refused(answer, *words: str) -> bool:
     return answer[0] == ["RAISED"] and all(word in answer[1] for word in words)
 
 
-def test_a_spot_is_found_on_a_result_that_was_moved(blender, session, result):
+def test_a_spot_is_found_on_a_result_that_was_moved(oldest, session, result):
     mesh = sphere_run.world_mesh()
     chosen = [100, 700, 1500]
     places = [(SHARES @ mesh.vertices[mesh.faces[face]]).tolist() for face in chosen]
     texels = [SHARES @ mesh.uvs[mesh.uv_faces[face]] for face in chosen]
-    answer = session(blender, "spots", str(result.root), places)
+    answer = session(oldest, "spots", str(result.root), places)
     assert refused(answer["early"], "Import a result first")
     for (said, texel, root), true in zip(answer["found"], texels, strict=True):
         assert said == [["FINISHED"], ""]
@@ -77,8 +77,8 @@ def test_the_rendered_layer_of_a_stretched_mesh_of_quads_is_read(own_blender, se
     np.testing.assert_allclose(found, true, atol=1e-5)
 
 
-def test_a_lamp_tells_the_sun_in_the_captures_frame(blender, session, result):
-    answer = session(blender, "suns", str(result.root))
+def test_a_lamp_tells_the_sun_in_the_captures_frame(newest, session, result):
+    answer = session(newest, "suns", str(result.root))
     assert not answer["poll"] and refused(answer["point"], "Select a Sun lamp")
     assert answer["taken"] == [["FINISHED"], ""]
     # tilted by 30 degrees about x: away from +z towards -y

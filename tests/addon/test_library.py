@@ -88,9 +88,9 @@ def made(result: JobPaths, facts: AssetFacts) -> JobPaths:
     return result
 
 
-def test_an_asset_stands_alone(result, facts, blender, tmp_path):
+def test_an_asset_stands_alone(result, facts, oldest, tmp_path):
     made(result, facts)
-    seen = run(blender, LOOK, str(result.library_asset), user=tmp_path / "user")
+    seen = run(oldest, LOOK, str(result.library_asset), user=tmp_path / "user")
     assert seen["names"] == [result.root.name]
     assert (seen["author"], seen["licence"]) == ("Ann", "CC0-1.0")
     assert seen["catalogue"] == catalogue_id("toys/cars")

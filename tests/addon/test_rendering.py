@@ -43,18 +43,24 @@ def built(result):
     return result
 
 
-@pytest.mark.slow
-def test_scene_renders_like_the_photographs(built):
+@pytest.fixture(scope="module")
+def rendered(built):
+    """The same with its held-out views rendered, 32 samples a pixel."""
     run = headless("render", built.root, "--samples", 32)
     assert run.returncode == 0, run.stderr
-    for view in load_capture(built.stage("capture")).held_out:
-        ours = picture(built.renders / f"rerender_{view.name}.png")
+    return built
+
+
+@pytest.mark.slow
+def test_scene_renders_like_the_photographs(rendered):
+    for view in load_capture(rendered.stage("capture")).held_out:
+        ours = picture(rendered.renders / f"rerender_{view.name}.png")
         assert ours.shape[:2] == view.mask.shape
         inside = (view.mask > 127) & (ours[..., 3] > 0.99)
         assert np.mean((ours[..., 3] > 0.5) == (view.mask > 127)) > 0.99
         # the photographs are of a purely diffuse sphere; Principled adds its gloss
         assert psnr(ours[..., :3], view.image_display / 255.0, inside) > 23.0
-        with Image.open(built.renders / f"rerender_{view.name}.png") as shown:
+        with Image.open(rendered.renders / f"rerender_{view.name}.png") as shown:
             assert set(shown.info) <= {"dpi", "gamma", "srgb"}  # neither folder nor date
 
 
@@ -73,12 +79,11 @@ def test_tone_table_is_the_curve(tmp_path, family):
 
 
 @pytest.mark.slow
-def test_a_curve_blender_lacks_is_applied_to_renders(built, tmp_path):
+def test_a_curve_blender_lacks_is_applied_to_renders(rendered, tmp_path):
     """Standard called by a name without a view transform must give the picture of Standard."""
     copy = JobPaths(tmp_path / "copy")
-    shutil.copytree(built.root, copy.root)
-    chosen = ["--views", "held_out_000", "--samples", 16]
-    assert headless("render", copy.root, *chosen).returncode == 0
+    shutil.copytree(rendered.root, copy.root)
+    chosen = ["--views", "held_out_000", "--samples", 32]
     expected = picture(copy.renders / "rerender_held_out_000.png")
     table = read_json(copy.tone_curve)
     write_json(copy.tone_curve, table | {"blender_view_transform": None})
@@ -90,37 +95,36 @@ def test_a_curve_blender_lacks_is_applied_to_renders(built, tmp_path):
 
 
 @pytest.mark.slow
-def test_the_glb_alone_gives_the_same_picture(built, tmp_path):
+def test_the_glb_alone_gives_the_same_picture(rendered, tmp_path):
     """Blender's own glTF importer and environment.exr, against scene.blend."""
     import bpy
 
     from robir_addon.capture.cameras import add_camera, use_camera
     from robir_addon.relighting.rendering import prepare_scene, render_still
 
-    headless("render", built.root, "--views", "held_out_000", "--samples", 32)
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
-    bpy.ops.import_scene.gltf(filepath=str(built.asset))
+    bpy.ops.import_scene.gltf(filepath=str(rendered.asset))
     scene.world = bpy.data.worlds.new("w")
     if bpy.app.version < (5, 0, 0):
         scene.world.use_nodes = True
     nodes = scene.world.node_tree.nodes
     light = nodes.new("ShaderNodeTexEnvironment")
-    light.image = bpy.data.images.load(str(built.environment))
+    light.image = bpy.data.images.load(str(rendered.environment))
     background = next(n for n in nodes if n.type == "BACKGROUND")
     scene.world.node_tree.links.new(light.outputs["Color"], background.inputs["Color"])
     scene.view_settings.view_transform = "Standard"
-    table = read_json(built.cameras)
+    table = read_json(rendered.cameras)
     view = next(v for v in table["views"] if v["name"] == "held_out_000")
-    camera = add_camera(view, built.export, table["bounds"]["centre"])
+    camera = add_camera(view, rendered.export, table["bounds"]["centre"])
     scene.collection.objects.link(camera)
     prepare_scene(scene)
     scene.cycles.samples = 32
     use_camera(scene, camera)
     render_still(scene, tmp_path / "fresh.png")
     fresh = picture(tmp_path / "fresh.png")
-    ours = picture(built.renders / "rerender_held_out_000.png")
-    photo = next(v for v in load_capture(built.stage("capture")).views if v.name == view["name"])
+    ours = picture(rendered.renders / "rerender_held_out_000.png")
+    photo = next(v for v in load_capture(rendered.stage("capture")).views if v.name == view["name"])
     inside = (photo.mask > 127) & (ours[..., 3] > 0.99)
     target = photo.image_display / 255.0
     difference = psnr(fresh[..., :3], target, inside) - psnr(ours[..., :3], target, inside)

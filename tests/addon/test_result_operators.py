@@ -303,8 +303,8 @@ def check_comparison(file):
     assert np.mean((red[0] == red[1])[solid]) > 0.9
 
 
-def test_what_blender_starts_with_stands_aside_until_the_result_is_gone(blender, files, tmp_path):
-    answer = run(blender, COMMON + STARTUP, *files, user=tmp_path / "user")
+def test_what_blender_starts_with_stands_aside_until_the_result_is_gone(oldest, files, tmp_path):
+    answer = run(oldest, COMMON + STARTUP, *files, user=tmp_path / "user")
     hidden = {"Cube": [False, False], "Light": [False, False]}
     shown = {"Cube": [True, True], "Light": [True, True]}
     assert answer["untouched"] == [hidden, shown]
@@ -343,10 +343,10 @@ def test_the_light_is_changed_turned_and_given_back(blender, files, tmp_path):
     assert answer["after"] == answer["before"]
 
 
-def test_results_are_handed_on(blender, files, result, tmp_path):
+def test_results_are_handed_on(newest, files, result, tmp_path):
     out = tmp_path / "out"
     out.mkdir()
-    answer = run(blender, COMMON + EXPORT, *files, str(out), user=tmp_path / "user")
+    answer = run(newest, COMMON + EXPORT, *files, str(out), user=tmp_path / "user")
     assert all("import it again" in refusal for refusal in answer["not imported"])
     assert answer["glb"] == ["FINISHED"]
     assert (out / "deep/er/asset.glb").read_bytes() == result.asset.read_bytes()

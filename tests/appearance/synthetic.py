@@ -213,7 +213,8 @@ def ball(
     radiance = np.zeros((len(surfels), len(positions), 3), np.float32)
     for is_there, material in parts:
         chosen = is_there(surfels.position)
-        radiance[chosen] = ball_radiance(surfels, material, light, positions)[chosen]
+        places = surfels.position[chosen], surfels.normal[chosen]
+        radiance[chosen] = ball_radiance(places, material, light, positions)
     seen = observed(radiance, curve, positions)
     towards = positions - surfels.position[:, None]
     towards /= np.linalg.norm(towards, axis=2, keepdims=True)
@@ -225,9 +226,16 @@ def ball(
 
 
 def ball_radiance(
-    surfels: Surfels, material: Material, light: Light, positions: np.ndarray
+    places: tuple[np.ndarray, np.ndarray], material: Material, light: Light, positions: np.ndarray
 ) -> np.ndarray:
-    """Radiance (S, V, 3) of an unshadowed surface; the light integrated over 2048 directions."""
+    """Radiance (S, V, 3) of an unshadowed surface; the light integrated over 2048 directions.
+
+    Args:
+        places: Positions (S, 3) and normals (S, 3).
+        material: Of all of them.
+        light: Theirs.
+        positions: (V, 3) of the cameras; 0 is seen from behind.
+    """
     directions = fibonacci_sphere(2048)
     axes, sharpness = soft_lobes(NUM_SOFT)
     sky = torch.exp(sharpness * (directions @ axes.T - 1)) @ light.amplitudes.soft
@@ -235,7 +243,7 @@ def ball_radiance(
     # The sun is one more direction, with its irradiance for a weight.
     directions = torch.cat([directions, torch.from_numpy(light.axes)])
     arriving = torch.cat([sky, light.amplitudes.sharp])
-    normal, position = torch.from_numpy(surfels.normal), torch.from_numpy(surfels.position)
+    position, normal = map(torch.from_numpy, places)
     cosine = (normal @ directions.T).clamp(min=0)
     base, rough, f0 = (
         torch.from_numpy(material.base),
@@ -243,15 +251,18 @@ def ball_radiance(
         material.specular,
     )
     diffuse = base / np.pi * (cosine @ arriving)
-    radiance = []
-    for place in torch.from_numpy(positions):
+    radiance = torch.zeros(len(normal), len(positions), 3)
+    for view, place in enumerate(torch.from_numpy(positions)):
         view_dir = torch.nn.functional.normalize(place - position, dim=1)
+        seen = (view_dir * normal).sum(1) > 0
+        view_dir, facing = view_dir[seen], normal[seen]
         lobe = microfacet.specular_brdf(
-            directions[None], view_dir[:, None], normal[:, None], rough, torch.tensor([f0])
+            directions[None], view_dir[:, None], facing[:, None], rough, torch.tensor([f0])
         )[..., 0]
-        above = (lobe * cosine) @ arriving
+        above = (lobe * cosine[seen]) @ arriving
         # What the specular layer reflects of even light does not reach the diffuse layer.
-        scale, bias = microfacet.environment_brdf((view_dir * normal).sum(1), rough)
-        below = (1 - f0 * scale - bias)[:, None] * diffuse
-        radiance.append({0.0: diffuse, 1.0: base * above}.get(f0, below + above))
-    return torch.stack(radiance, 1).numpy()
+        scale, bias = microfacet.environment_brdf((view_dir * facing).sum(1), rough)
+        below = (1 - f0 * scale - bias)[:, None] * diffuse[seen]
+        shown = {0.0: diffuse[seen], 1.0: base * above}.get(f0, below + above)
+        radiance[seen, view] = shown
+    return radiance.numpy()

@@ -17,7 +17,7 @@ from robir.capture.capture import View
 from robir.geometry.mesh.isosurface import plain_mesh
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.maths.tone import curve_from_name
-from robir.transport.surfels import Surfels, interpolate
+from robir.transport.surfels import interpolate
 
 PAINT, METAL = np.float32([0.5, 0.3, 0.2]), np.float32([0.6, 0.55, 0.4])
 ROUGHNESS = 0.5
@@ -85,8 +85,7 @@ def shown():
 
 def expected_codes(position, light, base, specular):
     """Display codes (N, 3) of points on the ball as the camera sees them."""
-    normal = (position / 0.8).astype(np.float32)
-    points = Surfels(position=position.astype(np.float32), normal=normal, spacing=0.05)
+    points = position.astype(np.float32), (position / 0.8).astype(np.float32)
     material = Material(base, ROUGHNESS, specular)
     camera = looking_at((2.6, -1.2, 0.4)).position.astype(np.float32)
     radiance = ball_radiance(points, material, light, camera[None])[:, 0]

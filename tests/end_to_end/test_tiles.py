@@ -22,7 +22,7 @@ pytestmark = pytest.mark.slow
 ENGINE = Path(__file__).parents[1] / "addon" / "tiny_engine.py"
 CORNERS = np.array([[0, 0], [2, 0], [1, 1], [5, 0], [0, 3]])
 NUMBERS = np.array([1001, 1003, 1012, 1006, 1031])
-SETTINGS = ("appearance.shading_size=384", "appearance.texture_size=256")
+SETTINGS = ("appearance.shading_size=256", "appearance.texture_size=256")
 
 
 def figure() -> trimesh.Trimesh:

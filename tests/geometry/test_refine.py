@@ -12,6 +12,7 @@ import trimesh
 from geometry.scenes import ball, camera_at, capture_of
 from geometry.test_stereo import RADIUS, grain, plain
 
+from robir.geometry import selection
 from robir.geometry.config import GeometryConfig
 from robir.geometry.lattice import Lattice, Sampled
 from robir.geometry.mesh.isosurface import plain_mesh
@@ -29,6 +30,7 @@ from robir.geometry.refine.correlation import (
 )
 from robir.geometry.refine.step import ThinPlate, refine
 from robir.geometry.selection import STEREO, Selection, bending, refined
+from robir.geometry.stereo.fusion import stereo_surface
 from robir.geometry.stereo.sweep import Picture
 from robir.steps import Pipeline
 
@@ -182,9 +184,11 @@ def waves(lattice):
     return torch.cos(9 * nodes[:, 0]) * torch.cos(9 * nodes[:, 1])
 
 
-def test_the_rivals_take_the_place_of_a_worse_field_alone(capture, photos):
+def test_the_rivals_take_the_place_of_a_worse_field_alone(capture, photos, monkeypatch):
     lattice, radius = lattice_and_radius()
     hull = Sampled(lattice, radius - 0.63)
+    depths = stereo_surface(photos, hull, holds_masks=True)  # the same for both fields
+    monkeypatch.setattr(selection, "stereo_surface", lambda *_, **__: depths)
     for dents, wins in ((0.0, False), (0.05, True)):
         rival = Selection(capture.train, photos, (hull, hull), CONFIG, holds_masks=True)
         field = Sampled(lattice, radius - RADIUS + dents * waves(lattice))

@@ -278,17 +278,17 @@ def test_json_that_would_not_fit_into_memory(studio):
 
 @pytest.mark.parametrize("kind", ["many", "one"])
 def test_time_is_linear_in_the_number_of_frames(studio, kind):
-    """20,000 frames of one photograph, or of as many that are missing."""
+    """5,000 frames of one photograph, or of as many that are missing."""
 
     def change(content):
         first = content["frames"][0]
-        names = [f"images/{i if kind == 'many' else 0}.png" for i in range(20_000)]
+        names = [f"images/{i if kind == 'many' else 0}.png" for i in range(5_000)]
         content["frames"] = [first | {"file_path": name} for name in names]
 
     edit(studio / "transforms.json", change)
     start = time.process_time()
-    assert "20000" in refused(studio) or kind == "one"
-    assert time.process_time() - start < 20
+    assert "5000" in refused(studio) or kind == "one"
+    assert time.process_time() - start < 5
 
 
 def test_more_photographs_than_can_be_read(studio):

@@ -35,26 +35,27 @@ def run(*words: str, lines: int = 1) -> str:
 @FORKS
 @pytest.mark.slow
 def test_mutated_captures_keep_the_promises():
-    assert "0 broke a promise" in run("hostile.corpus", "0", "1", "1/3")
+    assert "0 broke a promise" in run("hostile.corpus", "0", "1", "1/6")
 
 
 @FORKS
 @pytest.mark.slow
 def test_forged_results_keep_the_promises():
-    assert " 0 broke a promise" in run("hostile.forged", "0", "8")
+    assert " 0 broke a promise" in run("hostile.forged", "0", "4")
 
 
 @FORKS
 @pytest.mark.slow
-def test_kills_over_all_stages_leave_the_same_files(tmp_path):
-    """Without Blender; in the midst of the fit (twice), while light is found, and in the export."""
+def test_kills_leave_the_same_files(tmp_path):
+    """Without Blender; in the midst of the fit, again while it goes on, and in the export.
+
+    `tests/batch/test_real.py` kills workers alone and with all that they started.
+    """
     program = f"""
 from pathlib import Path
 from hostile.kills import Range
 shots = Range(Path({str(tmp_path / "kills")!r}), has_renders=False)
 kills = [shots.kill("early", 0.3 * shots.seconds, is_group=True, again=0.2 * shots.seconds)]
-kills.append(shots.kill("middle", 0.7 * shots.seconds, is_group=True))
-kills.append(shots.kill("late", 0.95 * shots.seconds, is_group=False))
 kills.append(shots.unmarked("export"))
 print([(kill.code == shots.code, kill.differing) for kill in kills], len(shots.expected))
 """
@@ -62,9 +63,7 @@ print([(kill.code == shots.code, kill.differing) for kill in kills], len(shots.e
         [sys.executable, "-c", program], capture_output=True, text=True, check=False,
         env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "OMP_NUM_THREADS": "1"},
     )  # fmt: skip
-    assert found.stdout.startswith("[(True, ()), (True, ()), (True, ()), (True, ())] "), (
-        found.stdout + found.stderr
-    )
+    assert found.stdout.startswith("[(True, ()), (True, ())] "), found.stdout + found.stderr
     assert int(found.stdout.split()[-1]) > 40
 
 
@@ -74,9 +73,9 @@ print([(kill.code == shots.code, kill.differing) for kill in kills], len(shots.e
     sys.platform != "linux" or not shutil.which("cc"), reason="takes Linux and a C compiler"
 )
 def test_faults_of_the_disk_are_told_and_overcome():
-    """Some of the kinds that take no root; `make hostile` has all, and disks of ten sizes."""
-    said = run("hostile.disk", "readonly:1", "gone:1", "write:1", lines=20)
-    assert "3 of 3 faults" in said, said
+    """One that takes no root; `make hostile` has all, and `tests/pipeline` tells of most."""
+    said = run("hostile.disk", "write:1", lines=20)
+    assert "1 of 1 faults" in said, said
 
 
 def test_growth_is_between_the_second_and_the_last_quarter():

@@ -57,7 +57,7 @@ def test_names_that_lead_out_are_none(tmp_path, name):
 
 
 def test_every_file_of_a_stage_may_be_damaged(whole, truth, tmp_path):
-    """Thirty damages to files that `evaluate` reads: a sentence or an answer."""
+    """Fifteen damages to files that `evaluate` reads: a sentence or an answer."""
     generator = random.Random(35)
     names = [
         path.relative_to(whole)
@@ -65,7 +65,7 @@ def test_every_file_of_a_stage_may_be_damaged(whole, truth, tmp_path):
         if path.is_file() and path.suffix in (".json", ".npz")
     ]
     said: list[str] = []
-    for number in range(30):
+    for number in range(15):
         root = shutil.copytree(whole, tmp_path / str(number))
         damage_file(root / names[number % len(names)], generator)
         try:

@@ -91,10 +91,10 @@ def captures(folder: Path) -> list[Path]:
 
 
 def test_the_same_seed_is_the_same_capture_to_the_bit(population: Path, tmp_path: Path) -> None:
-    """In another process, another folder and another order."""
+    """In another process, another folder and another order: the first is the last again."""
     again = tmp_path / "a folder with a longer name"
-    run(again, *reversed(SEEDS))
-    for capture in captures(population):
+    run(again, SEEDS[-1], SEEDS[0])
+    for capture in (captures(population)[0], captures(population)[-1]):
         before, after = contents(capture), contents(again / capture.name)
         assert before.keys() == after.keys()
         assert [name for name in before if before[name] != after[name]] == []

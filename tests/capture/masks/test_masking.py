@@ -48,7 +48,8 @@ def _found(findings: tuple[Finding, ...], code: str) -> Finding:
     return next(finding for finding in findings if finding.code == code)
 
 
-def test_masks_of_a_capture_without_masks_are_the_silhouettes(tmp_path, shots):
+def test_masks_of_a_capture_without_masks_are_the_silhouettes(tmp_path):
+    shots = scene.photographs(12)
     source = scene.save_nerfstudio(tmp_path / "capture", shots)
     capture = read_capture(source, None, SMALL, guesses=tmp_path / "masks")
     scores = []
@@ -72,8 +73,8 @@ def test_masks_of_a_capture_without_masks_are_the_silhouettes(tmp_path, shots):
         assert np.array_equal(one.mask, two.mask)
 
 
-def test_check_tells_what_would_be_guessed_and_writes_nothing(tmp_path, shots):
-    source = scene.save_nerfstudio(tmp_path / "capture", shots)
+def test_check_tells_what_would_be_guessed_and_writes_nothing(tmp_path):
+    source = scene.save_nerfstudio(tmp_path / "capture", scene.photographs(8))
     capture, findings, _ = check_capture(source, None, SMALL)
     assert capture is not None
     assert "folder masks of the result" in _found(findings, "guessed-masks").message
@@ -142,8 +143,8 @@ def test_the_cameras_aim_and_the_table_are_found(shots, points):
 def test_what_stands_on_plain_legs_reaches_down_to_the_table():
     rng = np.random.default_rng(0)
     views = scene.cameras(16)
-    table = np.column_stack([rng.uniform(-1.2, 1.2, (4000, 2)), rng.normal(0, 0.002, 4000)])
-    body = rng.uniform((-0.25, -0.25, 0.6), (0.25, 0.25, 1.2), (2000, 3))
+    table = np.column_stack([rng.uniform(-1.2, 1.2, (2000, 2)), rng.normal(0, 0.002, 2000)])
+    body = rng.uniform((-0.25, -0.25, 0.6), (0.25, 0.25, 1.2), (1000, 3))
     region = find_region(views, np.concatenate([table, body]))
     assert region is not None and region.plane is not None
     shin, air = np.array([[-0.1, 0.0, 0.15]]), np.array([[0.9, 0.0, 0.15]])

@@ -71,7 +71,7 @@ def apart(found: Aligned, place: Similarity) -> tuple[float, float, float]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [9])  # a turn of half a round
-def test_cameras_come_to_the_mesh_from_anywhere(capture, tmp_path, seed):
+def test_cameras_come_to_the_mesh_from_anywhere(thorough, capture, tmp_path, seed):
     place = known(seed)
     # the sphere of a hull may be far too large, as where all photographs are from one side
     bounds = Bounds(centre=np.array([1.5, -2.0, 1.0]), radius=4.0, origin="an open hull")
@@ -109,7 +109,7 @@ def test_a_mirrored_mesh_is_refused(capture, tmp_path):
 
 
 @pytest.mark.slow
-def test_the_mesh_stays_and_later_stages_have_the_cameras_there(capture, tmp_path):
+def test_the_mesh_stays_and_later_stages_have_the_cameras_there(thorough, capture, tmp_path):
     place = known(1)
     solid = statue()
     solid.vertices = place(solid.vertices)

@@ -179,11 +179,11 @@ def test_plane_is_found_under_a_ball_and_its_dome_is_flattened() -> None:
 
 
 @pytest.mark.slow
-def test_small_fit_is_accurate(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("robir.geometry.refine.step._MOST_VERTICES", 3000)
+def test_small_fit_is_accurate() -> None:
+    """Of the field alone: `test_refine` has what takes its place."""
     capture = capture_of(ball(0.5, (0.0, 0.0, 0.0)), low=-1.0)
     config = GeometryConfig(
-        level_cells=(24, 32), level_steps=(40, 40), rays=512, face_budget=800, refine_sides=(64,),
+        level_cells=(24, 32), level_steps=(40, 40), rays=512, face_budget=800, stereo_side=0,
     )  # fmt: skip
     surface = reconstruct(capture, config, 3, "cpu", Silent())
     first, metrics = surface.mesh, surface.metrics

@@ -69,8 +69,7 @@ class MaterialTrial:
         return seen.squared(below + specular)
 
     def metal_errors(self, chosen: Tensor, roughness: float) -> Reals:
-        """Squared errors (M,) of rays as metal of one roughness and of the base colour that it
-        reads.
+        """Squared errors (M,) of rays as metal of one roughness, with the base colour it reads.
 
         No prior of metals holds that colour, as the light's level is not known well.
         """
