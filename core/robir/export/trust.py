@@ -6,7 +6,7 @@ drawn captures of both halves of the population (docs/lab/population.md), seeds 
 112: of six results beyond one of them five are among the ten of the lowest albedo, and of the eight
 lowest four are beyond one and three more near. A sign that is only near its limit, such as two tone
 curves that fit alike, says where to look and is no failure. The limits of `views`, `shown` and
-`paint` are by reason: see appearance/last_word.py for what is shown worse than by the mean.
+`paint` are by reason: see appearance/photograph_check.py for what is shown worse than by the mean.
 """
 
 from __future__ import annotations
