@@ -258,7 +258,7 @@ def check_asset(
 def _without_metal(
     asset: Asset, chosen: NDArray[np.bool_], read: Callable[[SpecularMaterial], TexelAlbedo]
 ) -> Asset | None:
-    """The asset with a dielectric for the metal of chosen samples (S,), None where they have none."""
+    """The asset with a dielectric for metal on chosen samples (S,), None without any."""
     affected = chosen & (asset.specular.metallic > 0.5)
     if not affected.any():
         return None
