@@ -36,7 +36,7 @@ def test_nothing_is_taken_back_from_what_is_right(floor):
     asset, check, read, texels = floor
     word = check_asset(check, asset, read, texels)
     assert word.asset is asset
-    assert word.taken_back == 0.0
+    assert word.taken_back == {"metal": 0.0, "specular": 0.0, "smoothing": 0.0}
     assert word.unexplained == 0.0 and word.worst < 0.5
     assert word.choice.chosen == "nothing"
 
@@ -54,12 +54,25 @@ def test_metal_that_photographs_do_not_show_becomes_a_dielectric(floor):
     wrong = replace(asset, specular=specular, values=read(specular))
     assert check.loss(wrong).beyond(3.0).mean() > 0.2
     word = check_asset(check, wrong, read, texels)
-    assert word.taken_back > 0.2
+    assert word.taken_back["metal"] > 0.2
     assert word.unexplained == 0.0
     inner = seen_half(floor)
     assert word.asset.values.metallic[inner].max() == 0
     np.testing.assert_allclose(word.asset.values.albedo[inner].mean(0), PAINTS[1], rtol=0.05)
     assert "metal" in word.choice.chosen
+
+
+def test_a_texture_that_was_smoothed_away_comes_back(floor):
+    asset, check, read, texels = floor
+    patch = (np.abs(texels.position[:, 0]) < 0.3) & (texels.position[:, 1] < -0.1)
+    albedo = np.where(patch[:, None], 0.4 * asset.values.albedo, asset.values.albedo)
+    wrong = replace(asset, values=replace(asset.values, albedo=albedo.astype(np.float32)))
+    word = check_asset(check, wrong, read, texels)
+    assert word.taken_back["smoothing"] > 0.05 and word.taken_back["metal"] == 0
+    middle = patch & (np.abs(texels.position[:, 0]) < 0.15) & (texels.position[:, 1] < -0.25)
+    np.testing.assert_allclose(
+        word.asset.values.albedo[middle], asset.values.albedo[middle], rtol=1e-3
+    )
 
 
 def test_what_nothing_explains_is_reported(floor):

@@ -2,9 +2,9 @@
 """The last check: no part of the asset may show photographs worse than their plain mean does.
 
 That mean knows no light, metal or shadow. Where the model is worse on a block of the surface, by
-more than chance, metal becomes a dielectric there, if photographs are shown better so. A gain over
-the mean proves nothing: a light of the wrong colour explains photographs well and turns the albedo
-brown. The specular layer stays: without it the asset shows photographs better, and is relit worse.
+more than chance, metal, specular layer and smoothing are reverted there in turn, and what shows the
+photographs better stays. A gain over the mean proves nothing: a light of the wrong colour explains
+photographs well and turns the albedo brown.
 """
 
 from __future__ import annotations
@@ -51,10 +51,12 @@ _MARGIN = 2.0
 
 _LOSS = 3.0
 """dB against the mean that a person sees. True metal under normals that are a few degrees off loses
-less."""
+less, and so does smoothing, which removes shading that the light did not explain on purpose."""
 
 _UNSEEN = 5.0 / 255
 """Display error that nobody sees beside a texture; it is added to both sides of a comparison."""
+
+_PARTS = ("metal", "specular", "smoothing")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -107,24 +109,25 @@ class CheckResult:
 
     Attributes:
         asset: What is left.
-        taken_back: Share of the blocks on which metal became a dielectric.
+        taken_back: Share of the blocks on which each part was reverted.
         worst: Largest significant loss of a block, dB; 0 without one.
         unexplained: Share of the blocks that are visibly worse than the mean.
     """
 
     asset: Asset
-    taken_back: float
+    taken_back: dict[str, float]
     worst: float
     unexplained: float
 
     @property
     def choice(self) -> Choice:
         """For the report."""
+        reverted = [f"{part} on {share:.0%}" for part, share in self.taken_back.items() if share]
         left = f"; {self.unexplained:.0%} of the surface still is" if self.unexplained else ""
         return Choice(
             choice="taken back",
-            chosen=f"metal on {self.taken_back:.0%}" if self.taken_back else "nothing",
-            alternatives=("metal",),
+            chosen=", ".join(reverted) or "nothing",
+            alternatives=_PARTS,
             why="blocks of the surface that the asset shows worse than the photographs' mean, by "
             f"more than {_MARGIN:g} standard errors and {_LOSS:g} dB{left}",
         )
@@ -236,16 +239,21 @@ def check_asset(
     surfels = asset.problem.scene.transport.surfels
     of_texel = check.blocks(texels.position, texels.normal)
     of_sample = check.blocks(surfels.position, surfels.normal)
-    loss, taken = check.loss(asset), 0.0
-    wanted = loss.beyond(_LOSS)
-    dull = _without_metal(asset, wanted[of_sample], read)
-    if dull is not None:
-        after = check.loss(dull)
+    loss = check.loss(asset)
+    taken: dict[str, float] = dict.fromkeys(_PARTS, 0.0)
+    for part in _PARTS:
+        wanted = loss.beyond(_LOSS)
+        tried = _without(part, asset, wanted[of_sample], read) if wanted.any() else None
+        if tried is None:
+            continue
+        after = check.loss(tried)
         # compared with what the mean leaves, not with each other: both have its errors
         better = wanted & (np.nan_to_num(after.ours) < np.nan_to_num(loss.ours))
-        if better.any():
-            asset = _joined(asset, dull, better[of_sample], better[of_texel])
-            loss, taken = check.loss(asset), float(better.mean())
+        if not better.any():
+            continue
+        asset = _joined(asset, tried, better[of_sample], better[of_texel])
+        loss = check.loss(asset)
+        taken[part] = float(better.mean())
     worst = loss.decibels[loss.beyond(0.0)]
     return CheckResult(
         asset=asset,
@@ -255,11 +263,17 @@ def check_asset(
     )
 
 
-def _without_metal(
-    asset: Asset, chosen: NDArray[np.bool_], read: Callable[[SpecularMaterial], TexelAlbedo]
+def _without(
+    part: str,
+    asset: Asset,
+    chosen: NDArray[np.bool_],
+    read: Callable[[SpecularMaterial], TexelAlbedo],
 ) -> Asset | None:
-    """The asset with a dielectric for metal on chosen samples (S,), None without any."""
-    affected = chosen & (asset.specular.metallic > 0.5)
+    """The asset without a part on chosen samples (S,), None where these have no such part."""
+    if part == "smoothing":
+        return replace(asset, values=replace(asset.values, albedo=asset.values.read))
+    is_metal = asset.specular.metallic > 0.5
+    affected = chosen & (is_metal if part == "metal" else ~is_metal & asset.specular.has_highlights)
     if not affected.any():
         return None
     # as dull as a dielectric can be: what it then reflects no view tells from its diffuse light
