@@ -27,7 +27,7 @@ _DISK_ERRORS = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Verdict:
+class SelfTestVerdict:
     """What the test found; every field is plain.
 
     Attributes:
@@ -67,7 +67,7 @@ class Verdict:
 
 def run_selftest(
     asked: Literal["cpu", "cuda", "auto"], progress: Callable[[float, str], None]
-) -> Verdict:
+) -> SelfTestVerdict:
     """Fit a tiny capture and judge the machine by it.
 
     Args:
@@ -96,7 +96,7 @@ def run_selftest(
         fault = _in_words(error, device, found)
         code = fault.exit_code
         message, _, cure = str(fault).partition("; ")
-    return Verdict(
+    return SelfTestVerdict(
         ok=code == 0,
         exit_code=code,
         seconds=round(time.monotonic() - begin, 1),

@@ -40,7 +40,7 @@ from robir.geometry.remask import cut_about
 from robir.jobs.context import Reporter
 from robir.maths.similarity import Similarity
 
-_LIKELY = 0.75  # that a place has at least which is proposed
+_PROPOSED_SHARE = 0.75  # that a place has at least which is proposed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -171,7 +171,7 @@ def _placed(
     own = place.outside(bounds.centre, bounds.radius)
     how = f"its outline and the masks share {now.share:.0%} of what either has"
     gain = 0.0 if config.fit_mesh else BETTER
-    if then.share < _LIKELY or then.share <= now.share + gain:
+    if then.share < _PROPOSED_SHARE or then.share <= now.share + gain:
         if is_related(now):
             return given.noted(*poor_fit(now)), now
         show_fit(tracer, (here, there), views, picture)

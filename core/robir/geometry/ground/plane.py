@@ -24,7 +24,7 @@ from torch import Tensor
 
 from robir.capture.camera import Camera
 from robir.geometry.lattice import Lattice, Sampled
-from robir.geometry.rays import Photo
+from robir.geometry.rays import ReducedPhoto
 from robir.maths.vectors import tangents
 
 Array = NDArray[np.float64]
@@ -105,7 +105,7 @@ class OutlineRays(NamedTuple):
     outward: Array
 
 
-def _outline_rays(photo: Photo) -> OutlineRays:
+def _outline_rays(photo: ReducedPhoto) -> OutlineRays:
     """Rays through a mask's outline."""
     curves = [c for c in find_contours(np.pad(photo.coverage, 1), 0.5) if len(c) > 12]
     if not curves:
@@ -156,7 +156,7 @@ def touching_points(
 
 
 def detect(
-    photos: list[Photo],
+    photos: list[ReducedPhoto],
     lattice: Lattice,
     hull: Tensor,
     generator: torch.Generator,
@@ -239,7 +239,7 @@ def _outlined(rim: Array, normal: Array, offset: float) -> SupportPlane | None:
     return SupportPlane(origin=origin, axes=axes, outline=outline - middle)
 
 
-def _is_ground(plane: SupportPlane, rim: Array, photos: list[Photo], hull: Sampled) -> bool:
+def _is_ground(plane: SupportPlane, rim: Array, photos: list[ReducedPhoto], hull: Sampled) -> bool:
     """Whether a plane is ground: its rim runs all round, it carries all, and masks contain it."""
     local = plane.local(rim)[:, :2]
     turn = np.sort(np.arctan2(local[:, 1], local[:, 0]))
