@@ -68,11 +68,7 @@ class SelfTestVerdict:
 def run_selftest(
     asked: Literal["cpu", "cuda", "auto"], progress: Callable[[float, str], None]
 ) -> SelfTestVerdict:
-    """Fit a tiny capture and judge the machine by it.
-
-    Args:
-        asked: Device as on the command line.
-        progress: Told the share that is done and what is being done.
+    """Fit a tiny capture on a device as on the command line, and judge the machine by it.
 
     Raises:
         CancelledError: If the user asked to stop.

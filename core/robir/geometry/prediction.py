@@ -75,16 +75,11 @@ class Predictions:
         self._nearest = {own: np.argsort(-alike[own])[:_NEAREST] for own in self._targets}
 
     def errors(self, mesh: Mesh) -> list[NDArray[np.float32]]:
-        """Squared errors of the target photographs' pixels, one flat array each.
+        """Squared display errors of the target photographs' pixels, one flat array each.
 
-        Args:
-            mesh: Surface, unit frame.
-
-        Returns:
-            Mean squared display error of every pixel that is wholly object; NaN where the surface
-            shows it to no other photograph. Well inside the object, where there is no surface, it
-            is that of knowing no more than the object's mean colour. What the surface mirrors is
-            part of the prediction if it makes it better by more than a standard error.
+        NaN where the surface shows a pixel to no other photograph. Well inside the object, where
+        there is no surface, it is that of the object's mean colour. What the surface mirrors is
+        part of the prediction if it makes it better by more than a standard error.
         """
         carried, told = self._both(mesh)
         return told if lead(carried, told) > 1.0 else carried
@@ -188,13 +183,8 @@ class Predictions:
 def lead(errors: list[NDArray[np.float32]], others: list[NDArray[np.float32]]) -> float:
     """By how many of its standard errors the second surface predicts better than the first.
 
-    Args:
-        errors: Of the first surface, from `Predictions.errors`.
-        others: Of the second.
-
-    Returns:
-        Mean over the target photographs of the difference of log mean errors, of pixels that both
-        surfaces show, over its standard error; 0 where fewer than two can tell.
+    Mean over the target photographs of the difference of log mean errors, of pixels that both
+    surfaces show; 0 where fewer than two can tell.
     """
     leads = []
     for first, second in zip(errors, others, strict=True):

@@ -77,15 +77,11 @@ def hand_in(
 ) -> Handed:
     """Read, check, place and unwrap the user's mesh.
 
-    Args:
-        path: Its file.
-        captures: The capture in its own frame and in the unit frame.
-        config: Of the stage.
-        picture: File in which a mesh that does not fit is shown.
-        reporter: Told how far it is, and what is given up while unwrapping.
+    `captures` are the capture in its own frame and in the unit frame.
 
     Raises:
-        CaptureError: If it cannot be read or does not fit the photographs; says how it would.
+        CaptureError: If it cannot be read or does not fit the photographs; says how it would, and
+            `picture` shows it.
     """
     reporter.progress(0.0, "reading the mesh")
     given = read_mesh(path)

@@ -231,18 +231,10 @@ def feet_agree(columns: Columns, wanted: Mask, tops: Array, photos: list[Reduced
 def deviations(
     columns: Columns, wanted: Mask, heights: Array, tops: Array, photos: list[ReducedPhoto]
 ) -> Array:
-    """How much the photographs differ on the colour of spots over wanted columns.
+    """How much photographs differ on the colour of spots over wanted columns, the columns' shape.
 
-    Args:
-        columns: Columns over the support plane.
-        wanted: Columns to judge, the columns' shape.
-        heights: Height of each column's spot above the plane, finite where wanted.
-        tops: Height of the present surface over each column; what stands hides spots.
-        photos: Photographs.
-
-    Returns:
-        Mean difference from the median display colour, the columns' shape; NaN where not wanted or
-        where too few photographs show the spot.
+    Mean difference from the median display colour of spots at `heights` above the plane, NaN where
+    not wanted or shown by too few; what stands below `tops` hides spots.
     """
     chosen = np.flatnonzero(wanted)
     spots = np.column_stack([columns.feet[chosen], heights.ravel()[chosen]])

@@ -86,15 +86,10 @@ def seen_by(
 
 
 def agreement(patches: Tensor, valid: Tensor, share: float) -> Tensor:
-    """Mean correlation (B, D) of the photographs of a patch that agree best.
+    """Mean correlation (B, D) of the `share` of the photographs of a patch that agree best.
 
-    Each photograph's mean correlation with all others, over the best `share` of them; 0 where fewer
-    than two show the patch.
-
-    Args:
-        patches: (B, K, D, P) zero-mean patches of about unit length.
-        valid: (B, K) 1 where there is a photograph, else 0.
-        share: Of the photographs that count.
+    Of zero-mean patches (B, K, D, P) of about unit length, valid (B, K) or not; each photograph's
+    mean with all others; 0 where fewer than two show the patch.
     """
     total = (patches * valid[..., None, None]).sum(1, keepdim=True)
     count = valid.sum(1)

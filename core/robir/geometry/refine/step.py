@@ -148,14 +148,9 @@ class ThinPlate:
     ) -> Array:
         """Motion (Nv, 3) of least bending, anchor and evidence.
 
-        Args:
-            place: Vertices (Nv, 3), and the motion (Nv, 3) to begin with.
-            evidence: Weights (Nv,) of shifts along normals (Nv, 3), and weights times shifts times
-                normals (Nv, 3).
-            anchor: Weight of the vertices as they are.
-            smoothness: Weight of the bending.
-            has_creases: Whether sharp bends of the mesh as it stands are spared: not before the
-                lumps are out that it comes with.
+        `place` is vertices and a first motion (Nv, 3); `evidence` weights (Nv,) of shifts along
+        normals (Nv, 3), and weights times shifts times normals. With creases, sharp bends of the
+        mesh as it stands are spared.
         """
         (start, moved), (weight, normals, pull) = place, evidence
         laplacian = self._laplacian

@@ -77,16 +77,10 @@ def stereo_surface(
 ) -> Sampled:
     """The surface that depth maps agree on, and the visual hull where they say nothing.
 
-    What mirrors a light shows it behind the surface, and a few maps agree on that: less trust than
-    chance and highlights get counts as none. A plain part then lies where its outlines put it, bent
-    no more than it must be to meet what is known around it.
-
-    Args:
-        photos: Photographs with masks, unit frame.
-        hull: Their visual hull.
-        coarseness: Share of a final surface's cells along a side.
-        holds_masks: Whether depths that leave nothing where a mask shows the object are wrong.
-            They are where it mirrors; a guessed mask may hold background instead.
+    Less trust than chance and highlights get counts as none. A plain part then lies where its
+    outlines put it, bent no more than what is known around it asks. `coarseness` is the share of a
+    final surface's cells along a side; with `holds_masks`, depths that leave nothing where a mask
+    shows the object are wrong, as where it mirrors.
     """
     lattice, outer = hull
     lower, upper = np.asarray(lattice.lower) + 3 * lattice.cell, lattice.upper - 3 * lattice.cell
