@@ -45,14 +45,7 @@ _CAPTURE = "folder of posed images or photographs, or a video"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command.
-
-    Args:
-        arguments: Words of the command line; None takes those of the process.
-
-    Returns:
-        The exit code.
-    """
+    """Run one command, of given words or those of the process; its exit code."""
     # Idle OpenMP threads that spin count as CPU seconds, and matrix products come out otherwise on
     # other numbers of threads. Both must be set before NumPy and torch load.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")

@@ -59,12 +59,7 @@ class RunConfig:
 
 
 def resolve(base: RunConfig, file: Path | None, assignments: Sequence[str]) -> RunConfig:
-    """A configuration with the changes of a TOML file and of `--set` put over it, in that order.
-
-    Args:
-        base: Usually a preset.
-        file: TOML file of changes, or None.
-        assignments: Items such as "geometry.rays=900".
+    """A configuration with a TOML file, then items such as "geometry.rays=900", put over it.
 
     Raises:
         ConfigError: If a setting is unknown, of the wrong type or out of range.

@@ -32,10 +32,7 @@ applied: list[str] = []
 def of_stage(changes: Sequence[str], stage: str, stages: Sequence[str]) -> list[str]:
     """The changes that a stage's fingerprint has, in one order.
 
-    Args:
-        changes: As for `changed`.
-        stage: Name of the stage.
-        stages: All of them: what is in no stage's room belongs to the first.
+    What is in none of the `stages`' rooms belongs to the first.
     """
     rooms = {change: change.partition(".")[0] for change in changes}
     owners = {c: room if room in stages else stages[0] for c, room in rooms.items()}

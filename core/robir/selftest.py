@@ -27,7 +27,7 @@ _DISK_ERRORS = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Verdict:
+class SelfTestVerdict:
     """What the test found; every field is plain.
 
     Attributes:
@@ -67,12 +67,8 @@ class Verdict:
 
 def run_selftest(
     asked: Literal["cpu", "cuda", "auto"], progress: Callable[[float, str], None]
-) -> Verdict:
-    """Fit a tiny capture and judge the machine by it.
-
-    Args:
-        asked: Device as on the command line.
-        progress: Told the share that is done and what is being done.
+) -> SelfTestVerdict:
+    """Fit a tiny capture on a device as on the command line, and judge the machine by it.
 
     Raises:
         CancelledError: If the user asked to stop.
@@ -96,7 +92,7 @@ def run_selftest(
         fault = _in_words(error, device, found)
         code = fault.exit_code
         message, _, cure = str(fault).partition("; ")
-    return Verdict(
+    return SelfTestVerdict(
         ok=code == 0,
         exit_code=code,
         seconds=round(time.monotonic() - begin, 1),

@@ -95,12 +95,9 @@ def merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]
 
 
 def settings_from_table(cls: type[SettingsT], table: Mapping[str, Any], source: str) -> SettingsT:
-    """Build a settings dataclass from a nested table; absent fields keep their defaults.
+    """Build a frozen settings dataclass from a nested table; absent fields keep their defaults.
 
-    Args:
-        cls: Frozen dataclass whose fields are plain values, tuples of them, or dataclasses.
-        table: Values by field name.
-        source: Where the table comes from, for messages: a file name or "--set".
+    `source` is where the table comes from, for messages: a file name or "--set".
 
     Raises:
         ConfigError: If a key is unknown, a value has the wrong type, or the class refuses it.
@@ -116,15 +113,7 @@ def _hints(cls: type[Any]) -> dict[str, Any]:
 def checked_table(
     cls: type[Any], table: Mapping[str, Any], source: str, section: str = ""
 ) -> dict[str, Any]:
-    """The table with every value of the annotated type.
-
-    Which values it takes, the class says when it is built.
-
-    Args:
-        cls: As for `settings_from_table`.
-        table: Values by field name.
-        source: Where the table comes from, for messages.
-        section: Dotted name of this table within the whole, empty for the root.
+    """The table, section `section` of the whole, with every value of the annotated type.
 
     Raises:
         ConfigError: If a key is unknown, or a value has the wrong type.

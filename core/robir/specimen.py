@@ -91,13 +91,9 @@ def write_specimen(folder: Path) -> None:
 
 
 def photograph(pose: Array) -> Array:
-    """The sphere through the standard sRGB curve.
+    """The sphere through the sRGB curve, (SIDE, SIDE, 4) display values and coverage in [0, 1].
 
-    Args:
-        pose: (4, 4) camera to world, OpenGL axes.
-
-    Returns:
-        (SIDE, SIDE, 4) display values and coverage in [0, 1].
+    `pose` (4, 4) is camera to world, OpenGL axes.
     """
     place = (np.arange(SIDE * SUBPIXELS) + 0.5) / SUBPIXELS - 0.5 * SIDE
     x, y = np.meshgrid(place / FOCAL, -place / FOCAL)
@@ -133,14 +129,7 @@ def _pose(back: Array) -> Array:
 
 
 def judged_fit(execution: Execution, progress: Progress) -> float:
-    """Run the stages in a temporary folder.
-
-    Args:
-        execution: Device and threads.
-        progress: Told the share that is done and what is being done.
-
-    Returns:
-        dB on the views that were kept aside.
+    """Run the stages in a temporary folder; dB on the held-out views.
 
     Raises:
         QualityError: If the result is bad.

@@ -45,11 +45,7 @@ _corrections: dict[str, Correction] = {}
 
 @contextmanager
 def corrected(by_step: Mapping[str, Correction]) -> Iterator[None]:
-    """Let a bench put right what some steps found, for all runs within.
-
-    Args:
-        by_step: What is done after each step of these names.
-    """
+    """Let a bench put right what steps of these names found, for all runs within."""
     _corrections.update(by_step)
     try:
         yield
@@ -111,11 +107,6 @@ def _is_same(before: Any, after: Any) -> bool:
 
 def check_left_out(steps: Sequence[Step[Any]], without: Sequence[str], setting: str) -> None:
     """Refuse to leave out what is no step, or what the stage cannot do without.
-
-    Args:
-        steps: All of the stage.
-        without: Names of those to be left out.
-        setting: That names them, for the message.
 
     Raises:
         ConfigError: With the names that may stand there.

@@ -93,12 +93,9 @@ def num_workers() -> int:
 def side_by_side(
     function: Callable[[Item], Result], items: Iterable[Item], most: int | None = None
 ) -> list[Result]:
-    """Results of a function, in the items' order, several items at a time.
+    """Results of a function, in the items' order, several at a time, at most `most`.
 
-    Args:
-        function: Must not change what another item's call reads.
-        items: In the order in which they are begun.
-        most: At a time at most, where each takes much memory.
+    It must not change what another item's call reads.
 
     Raises:
         Exception: That of the first item, in order, that raised one; no further item is begun then.

@@ -16,7 +16,7 @@ from robir.geometry.ground.flatten import Ground
 from robir.geometry.ground.plane import detect
 from robir.geometry.hull import carve, hull_of
 from robir.geometry.lattice import Lattice
-from robir.geometry.rays import Photo, reduce_view
+from robir.geometry.rays import ReducedPhoto, reduce_view
 
 
 def camera_at(azimuth: float, elevation: float, side: int, distance: float = 3.2) -> Camera:
@@ -93,7 +93,7 @@ def capture_of(
 
 def ground_of(
     scene: trimesh.Trimesh, paint: Callable[[np.ndarray], np.ndarray]
-) -> tuple[Ground, list[Photo], Lattice, torch.Tensor]:
+) -> tuple[Ground, list[ReducedPhoto], Lattice, torch.Tensor]:
     """Ground of a scene as the masks show it, photographs, lattice, and their hull (N,) on it."""
     capture = capture_of(scene, views=32, side=128, low=0.12, paint=paint)
     photos = [reduce_view(view, 128) for view in capture.views]

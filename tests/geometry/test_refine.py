@@ -17,7 +17,7 @@ from robir.geometry.config import GeometryConfig
 from robir.geometry.lattice import Lattice, Sampled
 from robir.geometry.mesh.isosurface import plain_mesh
 from robir.geometry.mesh.tracer import EmbreeTracer
-from robir.geometry.pipeline import finished
+from robir.geometry.pipeline import post_processed
 from robir.geometry.prediction import Predictions, lead
 from robir.geometry.rays import reduce_view
 from robir.geometry.refine.correlation import (
@@ -31,7 +31,7 @@ from robir.geometry.refine.correlation import (
 from robir.geometry.refine.step import ThinPlate, refine
 from robir.geometry.selection import STEREO, Selection, bending, refined
 from robir.geometry.stereo.fusion import stereo_surface
-from robir.geometry.stereo.sweep import Picture
+from robir.geometry.stereo.sweep import StereoPicture
 from robir.steps import Pipeline
 
 SIDE = 128
@@ -96,7 +96,7 @@ def test_agreement_is_the_mean_of_pairs_and_spares_what_disagrees():
 
 def test_photographs_agree_most_on_the_surface(photos):
     """Of a sphere that is too small by two pixels the best shift is two pixels."""
-    pictures = [Picture.of(photo) for photo in photos]
+    pictures = [StereoPicture.of(photo) for photo in photos]
     pixel = pixel_size([photo.camera for photo in photos])
     mesh = sphere(RADIUS - 2 * pixel)
     cosine = seen_by(mesh, EmbreeTracer(mesh.vertices, mesh.faces), pictures, pixel)
@@ -192,16 +192,16 @@ def test_the_rivals_take_the_place_of_a_worse_field_alone(capture, photos, monke
     for dents, wins in ((0.0, False), (0.05, True)):
         rival = Selection(capture.train, photos, (hull, hull), CONFIG, holds_masks=True)
         field = Sampled(lattice, radius - RADIUS + dents * waves(lattice))
-        assert rival.beats(field) == (rival.best is not None) == wins
-        assert not rival.beats(field), "only the first level is compared"
+        assert rival.has_better(field) == (rival.best is not None) == wins
+        assert not rival.has_better(field), "only the first level is compared"
         assert (rival.best is not None) == wins
     assert rival.best.name == STEREO
-    mesh = finished(refined(rival.best, capture.train, CONFIG), CONFIG, print, Pipeline())
+    mesh = post_processed(refined(rival.best, capture.train, CONFIG), CONFIG, print, Pipeline())
     assert 1000 < len(mesh.faces) <= 24000
     assert roughness(mesh) < 0.02
     off = replace(CONFIG, stereo_side=0)
     silent = Selection(capture.train, photos, (hull, hull), off, holds_masks=True)
-    assert not silent.beats(field)
+    assert not silent.has_better(field)
 
 
 def test_how_much_a_sphere_and_a_box_bend():

@@ -26,7 +26,7 @@ from robir.geometry.stereo.semiglobal import aggregate, refined_minimum
 from robir.geometry.stereo.smoothest import laplacian, smoothest
 from robir.geometry.stereo.sweep import (
     DepthMap,
-    Picture,
+    StereoPicture,
     correlation,
     seen_through_planes,
     sweep,
@@ -140,7 +140,7 @@ def test_planes_are_seen_where_the_cameras_project_them():
 def test_a_sphere_has_its_depths(sphere, monkeypatch):
     """With others at 15 degrees and a start in front of it; a plain one has none to trust."""
     monkeypatch.setattr("robir.geometry.stereo.fusion._BASELINE_DEGREES", 20.0)
-    pictures = [Picture.of(photo) for photo in sphere]
+    pictures = [StereoPicture.of(photo) for photo in sphere]
     positions = np.stack([photo.camera.position for photo in sphere])
     own = 12
     others = [pictures[k] for k in choose_sources(positions)[own]]

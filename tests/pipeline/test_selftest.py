@@ -16,14 +16,16 @@ import torch
 from robir import cli, specimen
 from robir.errors import DeviceError
 from robir.pipeline.device import Machine
-from robir.selftest import Verdict, run_selftest
+from robir.selftest import SelfTestVerdict, run_selftest
 
 
 def quiet(fraction: float, message: str) -> None:
     pass
 
 
-def verdict_of(error: Exception, monkeypatch: pytest.MonkeyPatch, on: str = "cpu") -> Verdict:
+def verdict_of(
+    error: Exception, monkeypatch: pytest.MonkeyPatch, on: str = "cpu"
+) -> SelfTestVerdict:
     """What is said when the fit ends with an error."""
 
     def fail(execution, progress):

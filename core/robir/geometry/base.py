@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from robir.geometry.lattice import Sampled
 from robir.geometry.mesh.isosurface import extract
 from robir.geometry.mesh.tracer import EmbreeTracer
-from robir.geometry.rays import Photo
+from robir.geometry.rays import ReducedPhoto
 from robir.maths.vectors import fibonacci_sphere, ring
 
 Array = NDArray[np.float64]
@@ -48,7 +48,7 @@ class Base(NamedTuple):
     share: float
 
 
-def without_cone(hull: Sampled, photos: list[Photo]) -> Sampled:
+def without_cone(hull: Sampled, photos: list[ReducedPhoto]) -> Sampled:
     """The hull, without what lies below the plane that the object stands on.
 
     Args:
@@ -66,7 +66,7 @@ def without_cone(hull: Sampled, photos: list[Photo]) -> Sampled:
     return Sampled(hull.lattice, torch.maximum(hull.values, below))
 
 
-def base_plane(hull: Sampled, photos: list[Photo]) -> Base | None:
+def base_plane(hull: Sampled, photos: list[ReducedPhoto]) -> Base | None:
     """The plane below all that cameras meet of the hull, and below no camera, that cuts off most.
 
     None where there is none; arguments as for `without_cone`.
@@ -95,7 +95,7 @@ def base_plane(hull: Sampled, photos: list[Photo]) -> Base | None:
     return found
 
 
-def _met_first(hull: Sampled, photos: list[Photo]) -> Array:
+def _met_first(hull: Sampled, photos: list[ReducedPhoto]) -> Array:
     """Points (P, 3) of the hull that rays within masks meet first."""
     mesh = extract(*hull)
     tracer = EmbreeTracer(mesh.vertices, mesh.faces)

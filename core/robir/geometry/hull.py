@@ -17,7 +17,7 @@ from robir.capture.capture import Capture
 from robir.capture.masks.guess import DISSENT
 from robir.errors import CaptureError
 from robir.geometry.lattice import Lattice, Sampled, resample
-from robir.geometry.rays import Photo
+from robir.geometry.rays import ReducedPhoto
 from robir.maths.vectors import farthest_points
 
 BEHIND = -1e3
@@ -94,7 +94,7 @@ class HullCarver:
             yield torch.where(local[2] < 0, pixels * scale, BEHIND)
 
 
-def hull_of(photos: list[Photo], *, guessed: bool = False) -> HullCarver:
+def hull_of(photos: list[ReducedPhoto], *, guessed: bool = False) -> HullCarver:
     """The visual hull of photographs that lie far from each other.
 
     Where masks were guessed some may be wrong at any point: as many as in the last round of
@@ -138,7 +138,7 @@ def carve(carver: HullCarver, cells: int) -> Sampled:
 
 
 def object_hull(
-    capture: Capture, photos: list[Photo], cells: int, *, guessed: bool = False
+    capture: Capture, photos: list[ReducedPhoto], cells: int, *, guessed: bool = False
 ) -> Sampled:
     """The visual hull that a surface begins with: above the table where masks were guessed.
 

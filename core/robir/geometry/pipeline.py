@@ -23,13 +23,13 @@ from robir.geometry.mesh.facets import flattened
 from robir.geometry.mesh.simplify import decimate, with_creases
 from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.mesh.unwrap import unwrap
-from robir.geometry.rays import Photo, RaySampler, reduce_view
+from robir.geometry.rays import RaySampler, ReducedPhoto, reduce_view
 from robir.geometry.selection import Dense, Selection
 from robir.steps import Pipeline, Step
 from robir.workers import side_by_side
 
 
-def evened(capture: Capture) -> Capture:
+def equal_brightness(capture: Capture) -> Capture:
     """A capture whose training photographs are equally bright at the points they share.
 
     The surface is found where photographs agree on colours; exposed apart they agree nowhere, and
@@ -53,12 +53,12 @@ def _brighter(view: View, stops: float) -> View:
     return replace(view, image_display=display.astype(np.uint8))
 
 
-EVENING: tuple[Step[Capture], ...] = (
+BRIGHTNESS: tuple[Step[Capture], ...] = (
     Step(
         name="even-brightness",
         purpose="brings photographs that were exposed apart to one brightness for the fit",
         source="ours: a power stands for the tone curve",
-        run=evened,
+        run=equal_brightness,
     ),
 )
 """What is done to the photographs before the fit."""
@@ -84,7 +84,7 @@ class Start:
     capture: Capture
     config: GeometryConfig
     generator: torch.Generator
-    photos: list[Photo]
+    photos: list[ReducedPhoto]
     hull: Sampled
     backdrop: Backdrop | None = None
 
@@ -125,7 +125,7 @@ GROUND: tuple[Step[Start], ...] = (
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Level:
+class FitLevel:
     """A level of the fit that has ended; steps change its field's distances by `mended`.
 
     Attributes:
@@ -155,7 +155,7 @@ class Level:
         """The signed distances, to be changed in place."""
         return Sampled(self.field.lattice, self.field.sdf.detach())
 
-    def mended(self, sdf: Tensor) -> Level:
+    def mended(self, sdf: Tensor) -> FitLevel:
         """The level with other distances (N,), changed in place; itself where they are the same."""
         now = self.surface.values
         if torch.equal(sdf.to(now), now):
@@ -164,17 +164,17 @@ class Level:
         return replace(self, changes=self.changes + 1)
 
 
-def _restore_missing(state: Level) -> Level:
+def _restore_missing(state: FitLevel) -> FitLevel:
     lattice, sdf = state.surface
     allowed = resample(state.hull.values, state.hull.lattice, lattice).to(sdf.device)
     return state.mended(restore_missing(state.surface, allowed, state.sampler))
 
 
-def _fill_mirror_pits(state: Level) -> Level:
+def _fill_mirror_pits(state: FitLevel) -> FitLevel:
     return state.mended(state.mirroring.filled(state.field, state.network))
 
 
-def _flatten_ground(state: Level) -> Level:
+def _flatten_ground(state: FitLevel) -> FitLevel:
     """A ground that turns out to be a bowl is none."""
     if state.backdrop is None:
         return state
@@ -193,11 +193,11 @@ def _flatten_ground(state: Level) -> Level:
     return state.mended(flat)
 
 
-def _compare(state: Level) -> Level:
-    return replace(state, has_ended=state.selection.beats(state.surface))
+def _compare(state: FitLevel) -> FitLevel:
+    return replace(state, has_ended=state.selection.has_better(state.surface))
 
 
-LEVEL: tuple[Step[Level], ...] = (
+LEVEL: tuple[Step[FitLevel], ...] = (
     Step(
         name="missing-parts",
         purpose="brings back thin parts that the masks demand and the fit has lost",
@@ -259,7 +259,7 @@ class Levels:
 
     def __call__(self, field: Field, network: ColourNetwork) -> bool:
         """Mend the field in place; whether the fit ends because another surface leads."""
-        level = Level(
+        level = FitLevel(
             field=field,
             network=network,
             sampler=self.sampler,
@@ -274,7 +274,7 @@ class Levels:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Finishing:
+class PostProcessing:
     """A surface on its way to a mesh.
 
     Attributes:
@@ -290,15 +290,15 @@ class Finishing:
     warn: Callable[[str], None]
 
 
-def finished(
+def post_processed(
     dense: Dense, config: GeometryConfig, warn: Callable[[str], None], pipeline: Pipeline
 ) -> Mesh:
     """The unwrapped mesh of an extracted surface."""
-    start = Finishing(dense=dense, mesh=dense.mesh, config=config, warn=warn)
-    return pipeline.run(FINISHING, start).mesh
+    start = PostProcessing(dense=dense, mesh=dense.mesh, config=config, warn=warn)
+    return pipeline.run(POST_PROCESSING, start).mesh
 
 
-FINISHING: tuple[Step[Finishing], ...] = (
+POST_PROCESSING: tuple[Step[PostProcessing], ...] = (
     Step(
         name="facets",
         purpose="makes large flat parts flat, with sharp edges between them",

@@ -2,8 +2,8 @@
 """How well a surface lets photographs predict each other.
 
 A pixel is carried over a surface into the photographs beside it. Where the surface is right they
-show the same thing, so this judges surfaces that were found in different ways, without truth, light
-or material.
+show the same thing, so this compares surfaces that were found in different ways, without truth,
+light or material.
 
 A polished thing shows every photograph another colour of the same spot, and a surface full of pits
 explains that as well as any. But on the surface that is right all spots mirror one surroundings: a
@@ -26,14 +26,14 @@ from torch.nn.functional import grid_sample
 from robir.capture.images.opencv import cv2
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
-from robir.geometry.rays import Photo
+from robir.geometry.rays import ReducedPhoto
 from robir.maths.vectors import farthest_points
 from robir.workers import side_by_side
 
 Array = NDArray[np.floating]
 
-_JUDGES = 12  # photographs that are predicted; they lie far from each other
-_NEAREST = 4  # photographs, the nearest to a judge, that predict it
+_TARGETS = 12  # photographs that are predicted; they lie far from each other
+_NEAREST = 4  # photographs, the nearest to a target, that predict it
 _WHOLE = 0.95  # coverage from which a pixel is object
 _OUTLINE = 2  # distance from the outline within which masks are not believed (pixels)
 _LEARNT_POINTS = 6000  # points of the surface by which what is mirrored is learnt
@@ -50,7 +50,7 @@ _LEAST_VIEWS = 3  # photographs that must show a spot from which the map is lear
 
 
 class _Spots(NamedTuple):
-    """Where the pixels of a judge meet a surface."""
+    """Where the pixels of a target photograph meet a surface."""
 
     pixels: tuple[NDArray[np.int64], ...]  # rows and columns (N,) of those that are wholly object
     met: NDArray[np.bool_]  # (N,) which of them meet it
@@ -61,7 +61,7 @@ class _Spots(NamedTuple):
 class Predictions:
     """Training photographs, unit frame, some of which the others predict over surfaces."""
 
-    def __init__(self, photos: list[Photo]) -> None:
+    def __init__(self, photos: list[ReducedPhoto]) -> None:
         positions = np.stack([photo.camera.position for photo in photos])
         towards = positions / np.linalg.norm(positions, axis=1, keepdims=True)
         alike = towards @ towards.T
@@ -71,20 +71,15 @@ class Predictions:
             torch.from_numpy(np.dstack([photo.premultiplied_display, photo.coverage]))
             for photo in photos
         ]
-        self._judges = farthest_points(positions, _JUDGES)
-        self._nearest = {own: np.argsort(-alike[own])[:_NEAREST] for own in self._judges}
+        self._targets = farthest_points(positions, _TARGETS)
+        self._nearest = {own: np.argsort(-alike[own])[:_NEAREST] for own in self._targets}
 
     def errors(self, mesh: Mesh) -> list[NDArray[np.float32]]:
-        """Squared errors of the judges' pixels, one flat array a judge.
+        """Squared display errors of the target photographs' pixels, one flat array each.
 
-        Args:
-            mesh: Surface, unit frame.
-
-        Returns:
-            Mean squared display error of every pixel that is wholly object; NaN where the surface
-            shows it to no other photograph. Well inside the object, where there is no surface, it
-            is that of knowing no more than the object's mean colour. What the surface mirrors is
-            part of the prediction if it makes it better by more than a standard error.
+        NaN where the surface shows a pixel to no other photograph. Well inside the object, where
+        there is no surface, it is that of the object's mean colour. What the surface mirrors is
+        part of the prediction if it makes it better by more than a standard error.
         """
         carried, told = self._both(mesh)
         return told if lead(carried, told) > 1.0 else carried
@@ -96,12 +91,12 @@ class Predictions:
     def _both(self, mesh: Mesh) -> tuple[list[NDArray[np.float32]], list[NDArray[np.float32]]]:
         """Errors without and with what the surface mirrors."""
         tracer = EmbreeTracer(mesh.vertices, mesh.faces)
-        found = side_by_side(lambda own: self._spots(tracer, mesh, own), self._judges)
-        spots = dict(zip(self._judges, found, strict=True))
+        found = side_by_side(lambda own: self._spots(tracer, mesh, own), self._targets)
+        spots = dict(zip(self._targets, found, strict=True))
         maps = self._maps(tracer, list(spots.values()))
         nothing = np.zeros((_SIDE * _SIDE + 1, 3))
         pairs = side_by_side(
-            lambda own: self._judged(tracer, own, spots[own], (nothing, maps[own])), spots
+            lambda own: self._errors_of(tracer, own, spots[own], (nothing, maps[own])), spots
         )
         return [without for without, _ in pairs], [told for _, told in pairs]
 
@@ -118,7 +113,7 @@ class Predictions:
         return _Spots((rows, columns), met, points, normals)
 
     def _maps(self, tracer: EmbreeTracer, spots: list[_Spots]) -> dict[int, Array]:
-        """What is mirrored as all photographs but a judge tell it, for each judge."""
+        """What is mirrored as all photographs but a target show it, for each target."""
         total = sum(len(one.points) for one in spots)
         every = max(1, total // _LEARNT_POINTS)
         points = np.concatenate([one.points for one in spots])[::every]
@@ -133,12 +128,12 @@ class Predictions:
             told[:, own] = 0.0
             return learnt_map(colours, told, cells)
 
-        return dict(zip(self._judges, side_by_side(learnt, self._judges), strict=True))
+        return dict(zip(self._targets, side_by_side(learnt, self._targets), strict=True))
 
-    def _judged(
+    def _errors_of(
         self, tracer: EmbreeTracer, own: int, spots: _Spots, maps: tuple[Array, ...]
     ) -> list[NDArray[np.float32]]:
-        """Errors of one judge by what the others show, for each map of what is mirrored."""
+        """Errors of one target by what the others show, for each map of what is mirrored."""
         layers = self._layers[own].numpy()
         totals = [np.zeros((len(spots.points), 3)) for _ in maps]
         weight = np.zeros((len(spots.points), 1))
@@ -188,13 +183,8 @@ class Predictions:
 def lead(errors: list[NDArray[np.float32]], others: list[NDArray[np.float32]]) -> float:
     """By how many of its standard errors the second surface predicts better than the first.
 
-    Args:
-        errors: Of the first surface, from `Predictions.errors`.
-        others: Of the second.
-
-    Returns:
-        Mean over the judges of the difference of log mean errors, of pixels that both surfaces
-        show, over its standard error; 0 where fewer than two judges can tell.
+    Mean over the target photographs of the difference of log mean errors, of pixels that both
+    surfaces show; 0 where fewer than two can tell.
     """
     leads = []
     for first, second in zip(errors, others, strict=True):

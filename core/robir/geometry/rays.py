@@ -19,7 +19,7 @@ _RING = 4  # width of the band around the mask whose pixels teach the field what
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Photo:
+class ReducedPhoto:
     """A view reduced to the size the fit works at.
 
     Attributes:
@@ -33,7 +33,7 @@ class Photo:
     coverage: NDArray[np.float32]
 
 
-def reduce_view(view: View, side: int) -> Photo:
+def reduce_view(view: View, side: int) -> ReducedPhoto:
     """Area-average a view so that its longer side is about `side` pixels; never enlarges."""
     coverage = view.mask.astype(np.float32) / 255.0
     image = view.image_display.astype(np.float32) / 255.0 * coverage[..., None]
@@ -51,7 +51,7 @@ def reduce_view(view: View, side: int) -> Photo:
     else:
         kept = (1.0, 1.0)
     camera = cropped(view.camera, kept).resized(stack.shape[1], stack.shape[0])
-    return Photo(
+    return ReducedPhoto(
         camera=camera,
         premultiplied_display=np.ascontiguousarray(stack[..., :3], dtype=np.float32),
         coverage=np.ascontiguousarray(stack[..., 3], dtype=np.float32),
@@ -70,7 +70,7 @@ def cropped(camera: Camera, kept: tuple[float, float]) -> Camera:
 class RaySampler:
     """Random pixels of all photographs, drawn in shuffled order without repeats."""
 
-    def __init__(self, photos: list[Photo], device: str, generator: torch.Generator) -> None:
+    def __init__(self, photos: list[ReducedPhoto], device: str, generator: torch.Generator) -> None:
         views, pixels, targets = [], [], []
         ring = np.ones((3, 3), bool)
         for number, photo in enumerate(photos):

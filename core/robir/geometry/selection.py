@@ -24,7 +24,7 @@ from robir.geometry.lattice import Sampled
 from robir.geometry.mesh.isosurface import extract, largest_pieces, taubin
 from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.prediction import Predictions, lead
-from robir.geometry.rays import Photo, reduce_view
+from robir.geometry.rays import ReducedPhoto, reduce_view
 from robir.geometry.refine.correlation import pixel_size
 from robir.geometry.refine.step import refine
 from robir.geometry.stereo.fusion import stereo_surface
@@ -58,7 +58,7 @@ class Dense(NamedTuple):
     faces: int
 
 
-class Candidate(NamedTuple):
+class SurfaceCandidate(NamedTuple):
     """A surface that may take the place of the fit.
 
     Attributes:
@@ -112,7 +112,7 @@ class Selection:
     def __init__(
         self,
         views: tuple[View, ...],
-        photos: list[Photo],
+        photos: list[ReducedPhoto],
         hulls: tuple[Sampled, Sampled],
         config: GeometryConfig,
         *,
@@ -122,12 +122,12 @@ class Selection:
         self._hulls, self._config, self._holds_masks = hulls, config, holds_masks
         self._is_done = config.stereo_side == 0
         self._stereo = self._by_depth_maps
-        self.best: Candidate | None = None
+        self.best: SurfaceCandidate | None = None
         self.choices: tuple[Choice, ...] = ()
 
     @contextmanager
     def prepared(self) -> Iterator[None]:
-        """Find beside the block what `beats` compares with."""
+        """Find beside the block what `has_better` compares with."""
         if self._is_done:
             yield
             return
@@ -149,7 +149,7 @@ class Selection:
         ahead = lead(self._predictions.errors(than), self._predictions.errors(mesh))
         return weighed(ahead, bending(than) / bending(mesh)) > 0
 
-    def beats(self, field: Sampled) -> bool:
+    def has_better(self, field: Sampled) -> bool:
         """Whether depth maps or hull are better than a fit; only the first level is compared."""
         if self._is_done:
             return False
@@ -162,7 +162,7 @@ class Selection:
         for name, surface in surfaces.items():
             mesh = smooth_surface(surface)
             ahead, more = lead(errors, self._predictions.errors(mesh)), bends / bending(mesh)
-            candidates.append(Candidate(name, mesh, surface.lattice.cell, ahead, more))
+            candidates.append(SurfaceCandidate(name, mesh, surface.lattice.cell, ahead, more))
         first = max(candidates, key=lambda candidate: candidate.lead)
         self.best = first if first.lead > 0 else None
         chosen = FIELD if self.best is None else first.name
@@ -179,7 +179,7 @@ class Selection:
         return self.best is not None
 
 
-def refined(best: Candidate, views: tuple[View, ...], config: GeometryConfig) -> Dense:
+def refined(best: SurfaceCandidate, views: tuple[View, ...], config: GeometryConfig) -> Dense:
     """A surface moved to where patches agree, if photographs then predict each other better."""
     mesh = best.mesh
     photos = side_by_side(lambda view: reduce_view(view, max(config.refine_sides)), views)
@@ -192,7 +192,7 @@ def refined(best: Candidate, views: tuple[View, ...], config: GeometryConfig) ->
     return Dense(mesh, min(best.cell, grain), faces)
 
 
-def resolved(photos: list[Photo], config: GeometryConfig) -> tuple[float, int]:
+def resolved(photos: list[ReducedPhoto], config: GeometryConfig) -> tuple[float, int]:
     """What photographs resolve: the width of what may be noise, and the faces they deserve."""
     pixels = float(np.median([photo.coverage.sum() for photo in photos]))
     grain = _GRAIN * pixel_size([photo.camera for photo in photos])

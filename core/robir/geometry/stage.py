@@ -21,7 +21,14 @@ from robir.geometry.given.surface import hand_in
 from robir.geometry.ground.plane import SupportPlane
 from robir.geometry.lattice import Sampled
 from robir.geometry.mesh.triangles import LIGHT, Mesh
-from robir.geometry.pipeline import EVENING, FINISHING, GROUND, LEVEL, Levels, finished
+from robir.geometry.pipeline import (
+    BRIGHTNESS,
+    GROUND,
+    LEVEL,
+    POST_PROCESSING,
+    Levels,
+    post_processed,
+)
 from robir.geometry.remask import remasked
 from robir.geometry.selection import FIELD, Dense, refined, smooth_surface
 from robir.jobs.context import Choice, Reporter, StageContext
@@ -34,7 +41,7 @@ REVISION = 43
 MASKING = 0.02
 """Share of the stage that cutting masks again takes."""
 
-STEPS: tuple[Step[Any], ...] = (*EVENING, *GROUND, *LEVEL, *FINISHING)
+STEPS: tuple[Step[Any], ...] = (*BRIGHTNESS, *GROUND, *LEVEL, *POST_PROCESSING)
 """All steps of the stage, in their order; LEVEL's once a level of the fit."""
 
 
@@ -104,7 +111,7 @@ def _take(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Surface:
+class FoundSurface:
     """What the stage finds.
 
     Attributes:
@@ -129,7 +136,7 @@ def reconstruct(
     device: str,
     reporter: Reporter,
     watch: Callable[[float, Present], None] | None = None,
-) -> Surface:
+) -> FoundSurface:
     """Surface of a capture in the unit frame.
 
     `watch` is called every few steps of the fit with the share of it that is done and its field as
@@ -145,7 +152,7 @@ def reconstruct(
         )
     reporter.progress(0.0, "carving the visual hull")
     pipeline = Pipeline(config.without)
-    capture = pipeline.run(EVENING, capture)
+    capture = pipeline.run(BRIGHTNESS, capture)
     generator = torch.Generator().manual_seed(seed)
     levels = Levels(capture, config, device, generator, pipeline)
 
@@ -166,7 +173,7 @@ def reconstruct(
         reporter.progress(0.86, "cleaning the mesh")
         surface = smooth_surface(Sampled(field.lattice, field.sdf))
         dense = Dense(surface, cell, config.face_budget)
-    mesh = finished(dense, config, reporter.warn, pipeline)
+    mesh = post_processed(dense, config, reporter.warn, pipeline)
     backdrop = levels.backdrop if best is None else None
     metrics: dict[str, float | str] = {
         "faces": len(mesh.faces),
@@ -175,7 +182,7 @@ def reconstruct(
         "ground": "none" if backdrop is None else "flattened",
         "surface": FIELD if best is None else best.name,
     }
-    return Surface(
+    return FoundSurface(
         mesh=mesh,
         metrics=metrics,
         choices=levels.selection.choices,

@@ -22,7 +22,7 @@ from torch import Tensor
 Planes = tuple[Tensor, ...]
 
 
-class Lattice(NamedTuple):
+class ColourLattice(NamedTuple):
     """Colours at the nodes of an n x n x n lattice.
 
     Attributes:
@@ -34,15 +34,15 @@ class Lattice(NamedTuple):
     size: int
 
     @staticmethod
-    def from_nodes(nodes: Tensor) -> Lattice:
+    def from_nodes(nodes: Tensor) -> ColourLattice:
         """Lattice of an (n, n, n, 3) tensor of node values."""
         red, green, blue = (plane.reshape(-1).contiguous() for plane in nodes.unbind(-1))
-        return Lattice((red, green, blue), nodes.shape[0])
+        return ColourLattice((red, green, blue), nodes.shape[0])
 
-    def like(self, sample: Tensor) -> Lattice:
+    def like(self, sample: Tensor) -> ColourLattice:
         """The same lattice in the type and on the device of a tensor."""
         red, green, blue = (plane.to(sample) for plane in self.planes)
-        return Lattice((red, green, blue), self.size)
+        return ColourLattice((red, green, blue), self.size)
 
 
 class _Cell(NamedTuple):
@@ -84,7 +84,7 @@ def _at_corners(plane: Tensor, cell: _Cell) -> tuple[Tensor, Tensor, Tensor, Ten
     return v0, v1 - v0, v2 - v1, v3 - v2
 
 
-def interpolate(lattice: Lattice, position: Planes) -> Planes:
+def interpolate(lattice: ColourLattice, position: Planes) -> Planes:
     """Colours at positions between the nodes.
 
     Args:
@@ -112,7 +112,7 @@ def corner_weights(position: Planes, size: int) -> tuple[Tensor, Tensor]:
 
 
 def step_towards(
-    lattice: Lattice, position: Planes, target: Planes, damping: float, reach: float
+    lattice: ColourLattice, position: Planes, target: Planes, damping: float, reach: float
 ) -> tuple[Planes, Tensor]:
     """One Levenberg-Marquardt step on position towards interpolate(position) = target.
 

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from robir.errors import ConfigError
 from robir.maths import tetrahedral as lattice
-from robir.maths.tetrahedral import Lattice, Planes
+from robir.maths.tetrahedral import ColourLattice, Planes
 from robir.maths.tone_curve import (
     MAX_LINEAR,
     AbstractToneCurve,
@@ -218,7 +218,7 @@ class KhronosNeutralToneCurve(AbstractToneCurve):
         grid = torch.exp2(torch.linspace(low, high, self._nodes, dtype=torch.float64))
         red, green, blue = torch.meshgrid(grid, grid, grid, indexing="ij")
         light = self._formula((red, green, blue))
-        self._lattice = Lattice.from_nodes(torch.stack(light, dim=-1).float())
+        self._lattice = ColourLattice.from_nodes(torch.stack(light, dim=-1).float())
 
     def display_from_linear(self, rgb_linear: Tensor) -> Tensor:
         """See AbstractToneCurve."""
@@ -241,7 +241,7 @@ class KhronosNeutralToneCurve(AbstractToneCurve):
 
         return chunked(invert, rgb_display.clamp(0.0, 1.0))
 
-    def _interpolated(self, table: Lattice, rgb: Planes) -> Planes:
+    def _interpolated(self, table: ColourLattice, rgb: Planes) -> Planes:
         low, high = LOG2_RANGE_KHRONOS
         scale = (self._nodes - 1) / (high - low)
         return lattice.interpolate(

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from robir.maths import tetrahedral as lattice
-from robir.maths.tetrahedral import Lattice, Planes
+from robir.maths.tetrahedral import ColourLattice, Planes
 from robir.maths.tone_curve import (
     MAX_LINEAR,
     AbstractToneCurve,
@@ -102,8 +102,8 @@ class AgxToneCurve(AbstractToneCurve):
         low, high = LOG2_RANGE_AGX
         size = nodes.shape[0]
         self._per_stop = (size - 1) / (high - low)
-        self._lattice = Lattice.from_nodes(nodes)
-        self._inverse = Lattice.from_nodes(
+        self._lattice = ColourLattice.from_nodes(nodes)
+        self._inverse = ColourLattice.from_nodes(
             torch.from_numpy(tables["agx_inverse"].astype(np.float32) / 1024.0)
         )
         self._wide = _rows(tables["agx_matrix"])
@@ -177,7 +177,7 @@ class AgxToneCurve(AbstractToneCurve):
         return guess
 
     def _descend(
-        self, table: Lattice, start: Tensor, code: Tensor, num_steps: int
+        self, table: ColourLattice, start: Tensor, code: Tensor, num_steps: int
     ) -> tuple[Tensor, Tensor]:
         """Best radiance (N, 3) found from a start, and its squared error (N,)."""
 
@@ -188,7 +188,7 @@ class AgxToneCurve(AbstractToneCurve):
         return found[..., :3], found[..., 3]
 
     def _descend_planes(
-        self, table: Lattice, start: Planes, code: Planes, num_steps: int
+        self, table: ColourLattice, start: Planes, code: Planes, num_steps: int
     ) -> Planes:
         """Damped Newton steps, each halved while it makes things worse; radiance and error."""
         best, trial = start, start

@@ -23,7 +23,7 @@ from robir.geometry.lattice import Sampled
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.mesh.unwrap import rasterise_atlas
-from robir.geometry.pipeline import finished
+from robir.geometry.pipeline import post_processed
 from robir.geometry.selection import Dense, smooth_surface
 from robir.jobs.paths import JobPaths, replacing, write_json
 from robir.steps import Pipeline
@@ -93,7 +93,7 @@ def run_geometry(job: Job, config: GeometryConfig) -> None:
     lattice, values = on_lattice(field.sdf, job.config.neus.cells)
     surface = smooth_surface(Sampled(lattice, values))
     dense = Dense(surface, lattice.cell, config.face_budget)
-    mesh = finished(dense, config, lambda _: None, Pipeline())
+    mesh = post_processed(dense, config, lambda _: None, Pipeline())
     folder = _folder(job, "geometry")
     mesh.save(folder / "mesh.npz")
     _save_networks(folder / _NETWORKS, field.modules())

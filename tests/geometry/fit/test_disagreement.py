@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from robir.capture.capture import Capture
 from robir.capture.checks.photographs import exposure_offsets, sight
-from robir.geometry.pipeline import evened
+from robir.geometry.pipeline import equal_brightness
 from tests.geometry.scenes import capture_of, disc, drum
 
 
@@ -47,12 +47,12 @@ def jittered(plain: Capture) -> Capture:
 
 
 def test_photographs_that_are_alike_stay_as_they_are(plain: Capture) -> None:
-    assert evened(plain) is plain
+    assert equal_brightness(plain) is plain
 
 
 def test_photographs_are_brought_to_one_exposure(plain: Capture, jittered: Capture) -> None:
     assert spread_of(jittered) > 0.2
-    after = evened(jittered)
+    after = equal_brightness(jittered)
     assert spread_of(after) < 0.02
     for view, true in zip(after.train, plain.train, strict=True):
         inside = true.mask > 250
@@ -62,6 +62,6 @@ def test_photographs_are_brought_to_one_exposure(plain: Capture, jittered: Captu
 
 def test_held_out_photographs_are_not_touched(jittered: Capture) -> None:
     views = tuple(replace(v, split="test") if k == 3 else v for k, v in enumerate(jittered.views))
-    after = evened(replace(jittered, views=views))
+    after = equal_brightness(replace(jittered, views=views))
     assert after.views[3] is views[3]
     assert after.views[4] is not views[4]

@@ -20,7 +20,7 @@ from robir.geometry.ground.flatten import Ground
 from robir.geometry.ground.plane import detect
 from robir.geometry.hull import carve, hull_of
 from robir.geometry.lattice import Lattice
-from robir.geometry.rays import Photo, reduce_view
+from robir.geometry.rays import ReducedPhoto, reduce_view
 from tests.geometry.scenes import capture_of, checker, disc
 
 TOP = -0.3
@@ -44,7 +44,7 @@ def red_above(points: np.ndarray) -> np.ndarray:
 def started(solid: trimesh.Trimesh, **options: object) -> tuple[Lattice, np.ndarray, np.ndarray]:
     """Lattice, its nodes and the values with and without the room in front of the ground."""
     capture = capture_of(solid, views=32, side=96, **options)  # type: ignore[arg-type]
-    photos: list[Photo] = [reduce_view(view, 96) for view in capture.views]
+    photos: list[ReducedPhoto] = [reduce_view(view, 96) for view in capture.views]
     lattice, hull = carve(hull_of(photos), 48)
     plane = detect(photos, lattice, hull, torch.Generator().manual_seed(0))
     assert plane is not None
@@ -84,20 +84,20 @@ NOISE = 0.03
 """Standard deviation of the noise in the tests, display."""
 
 
-def noisy(photo: Photo, rng: np.random.Generator) -> Photo:
+def noisy(photo: ReducedPhoto, rng: np.random.Generator) -> ReducedPhoto:
     """The photograph with noise wherever it shows something."""
     grain = NOISE * rng.standard_normal(photo.premultiplied_display.shape)
     display = photo.premultiplied_display + grain * (photo.coverage[..., None] > 0)
     return replace(photo, premultiplied_display=display.clip(0, 1).astype(np.float32))
 
 
-def small_photo(display: NDArray[np.floating]) -> Photo:
+def small_photo(display: NDArray[np.floating]) -> ReducedPhoto:
     """A photograph that shows something everywhere."""
     height, width = display.shape[:2]
     camera = Camera(
         width=width, height=height, fx=1.0, fy=1.0, cx=0.0, cy=0.0, camera_to_world=np.eye(4)
     )
-    return Photo(
+    return ReducedPhoto(
         camera=camera,
         premultiplied_display=display.astype(np.float32),
         coverage=np.ones((height, width), np.float32),

@@ -20,7 +20,7 @@ from robir.geometry.hull import HullCarver, carve, hull_of, mask_distance
 from robir.geometry.lattice import Lattice, interpolate, resample
 from robir.geometry.mesh.isosurface import extract, taubin
 from robir.geometry.mesh.simplify import decimate
-from robir.geometry.rays import Photo, reduce_view
+from robir.geometry.rays import ReducedPhoto, reduce_view
 from robir.geometry.stage import reconstruct
 from robir.maths.volume import log_survival_between, weights
 from tests.geometry.scenes import ball, capture_of, disc
@@ -47,11 +47,11 @@ def sphere_lattice(radius: float = 0.5, cells: int = 48) -> tuple[Lattice, torch
     return lattice, lattice.nodes().norm(dim=1) - radius
 
 
-def photos_of(solid: trimesh.Trimesh, **options: float) -> list[Photo]:
+def photos_of(solid: trimesh.Trimesh, **options: float) -> list[ReducedPhoto]:
     return [reduce_view(view, 64) for view in capture_of(solid, **options).views]  # type: ignore[arg-type]
 
 
-def carved(photos: list[Photo]) -> tuple[Lattice, torch.Tensor]:
+def carved(photos: list[ReducedPhoto]) -> tuple[Lattice, torch.Tensor]:
     return carve(hull_of(photos), 48)
 
 

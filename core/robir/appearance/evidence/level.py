@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How bright the light as a whole is, by two priors.
+"""How bright the light as a whole is, by two priors or by a spot of known albedo.
 
 Photographs of diffuse surfaces know light and albedo by their product alone. The log likelihoods of
 common albedos and of common exposures are added: white is about as bright as the brightest that a
@@ -9,9 +9,12 @@ photograph shows, as by an incident-light meter.
 from __future__ import annotations
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from robir.appearance.evidence.estimate import BY_ALL, Estimate
+from robir.appearance.light.known_albedo import KnownAlbedo
 from robir.appearance.light.lobes import BRIGHTEST_QUANTILE, log_ratio, log_sent
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
@@ -31,6 +34,7 @@ _LOG_ALBEDO_SPREAD = 0.75  # its deviation (log units)
 _EXPOSURE = -0.25
 _EXPOSURE_SPREAD = 0.57  # its deviation (log units)
 _EXCESS = 0.1  # how far the brightest paint may seem to return more than it receives (log units)
+_NUM_SAMPLES = 4  # of the surface, nearest to the spot, that show its paint
 
 
 def log_factors() -> Reals:
@@ -79,3 +83,17 @@ def exposure_prior(sent: float) -> Reals:
     """Log likelihood (F,) of a mean log irradiance, were the light brighter by each factor."""
     white = sent - np.log(np.pi) + log_factors()
     return -0.5 * ((white - _EXPOSURE) / _EXPOSURE_SPREAD) ** 2
+
+
+def sent_by_known_albedo(problem: Problem, light: Light, known: KnownAlbedo) -> Tensor:
+    """Log (3,) of the mean irradiance that sky and suns send if the spot has its albedo.
+
+    Of a light whose level and hue as a whole are not known.
+    """
+    surfels, rows = problem.scene.transport.surfels, problem.scene.rows
+    seen = np.flatnonzero(problem.radiance.seen.numpy())
+    own = surfels.subset(problem.radiance.seen.numpy())
+    near = seen[own.nearest(known.position[None], known.normal[None], _NUM_SAMPLES)[0]]
+    albedo = log_ratio(problem.radiance.linear[near], light.irradiance(problem, near)).exp()
+    sent = log_sent(light.irradiance(problem, rows), problem.indirect[rows])
+    return sent + torch.from_numpy(known.off(albedo.numpy()))

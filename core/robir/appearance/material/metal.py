@@ -24,6 +24,7 @@ from robir.appearance.material.observed import dense, looked_at
 from robir.appearance.material.reflections import Reflections, ViewRays, tilts_of
 from robir.appearance.material.segments import pieces
 from robir.appearance.material.trial import MaterialTrial
+from robir.jobs.context import Choice
 from robir.workers import num_workers, side_by_side
 
 Floats = NDArray[np.float32]
@@ -267,3 +268,39 @@ def _weighted_median(values: Reals, share: Reals) -> Reals:
     order = values.argsort(0)
     half = (share[order].cumsum(0) >= 0.5 - 1e-9).argmax(0)
     return np.take_along_axis(values, order, 0)[half, np.arange(values.shape[1])]
+
+
+def tested_parts(
+    parts: MetalParts, trial: MaterialTrial, dielectric: Floats
+) -> tuple[MetalParts, Choice]:
+    """The parts (numbered anew) that held-out photographs do not refute as metal, and the choice.
+
+    Each is compared with a dielectric, matt or of its best roughness. As displaced reflections
+    count twice in squared errors, true metal is hardly ever proven. `dielectric` (U, L) is the
+    display error of each sample at every roughness.
+    """
+    count = len(trial.rays.sample)
+    plain, metal, single = np.zeros(count), np.zeros(count), []
+    for index, roughness in enumerate(parts.roughness):
+        inside = parts.part == index
+        own = trial.rays_of(inside)
+        level = LEVELS[int(dielectric[inside].mean(0).argmin())]
+        glossy = trial.dielectric_errors(own, np.full(len(inside), level))
+        plain[own] = min(trial.dielectric_errors(own, None), glossy, key=np.sum)
+        metal[own] = trial.metal_errors(own, float(roughness))
+        single.append(trial.compare(own, plain[own], metal[own]))
+    every = trial.rays_of(parts.part >= 0)
+    whole = trial.compare(every, plain[every], metal[every])
+    passed = np.array([one.is_not_worse for one in single], bool)
+    why = f"of {len(passed)} parts that may be metal {passed.sum()} are not disproven"
+    if len(passed):
+        why += f"; of all together {whole.words}"
+    kept_parts = parts.of(passed)
+    choice = Choice(
+        choice="metal",
+        chosen=f"{(kept_parts.part >= 0).mean():.0%} of the surface",
+        alternatives=("none",),
+        held_out_error=whole.rich if passed.all() and len(passed) else None,
+        why=why,
+    )
+    return kept_parts, choice

@@ -21,8 +21,7 @@ from torch import Tensor
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
 from robir.appearance.material.highlights import LEVELS, UNKNOWN, Highlights
-from robir.appearance.material.metal import find_metal, near
-from robir.appearance.material.metal_proof import tested_parts
+from robir.appearance.material.metal import find_metal, near, tested_parts
 from robir.appearance.material.observed import (
     LEAST_DIFFUSE,
     ObservedRays,

@@ -83,7 +83,7 @@ def change_with_view(field: Field, network: ColourNetwork, cameras: list[Camera]
     return total / count.clamp(min=1e-6)
 
 
-class Judge(Protocol):
+class SurfaceTest(Protocol):
     """What photographs say of surfaces."""
 
     def is_mirror(self, surface: Sampled) -> bool:
@@ -101,10 +101,10 @@ class Mirroring:
     Finer levels learn highlights of glossy paint as well. The hull bounds what is filled.
     """
 
-    def __init__(self, cameras: list[Camera], hull: Sampled, judge: Judge) -> None:
+    def __init__(self, cameras: list[Camera], hull: Sampled, judge: SurfaceTest) -> None:
         positions = np.stack([camera.position for camera in cameras])
         self._cameras = [cameras[k] for k in farthest_points(positions, _MOST_VIEWS)]
-        self._hull, self._judge = hull, judge
+        self._hull, self._test = hull, judge
         self._learnt: Sampled | None = None
 
     def filled(self, field: Field, network: ColourNetwork) -> Tensor:
@@ -118,9 +118,9 @@ class Mirroring:
         speed, values = self._tried(field, share)
         if self._common(field, more) > 0.0:
             mirror = Sampled(lattice, values)
-            if self._judge.is_mirror(mirror):
+            if self._test.is_mirror(mirror):
                 further = self._tried(field, more)
-                if self._judge.is_better(Sampled(lattice, further[1]), mirror):
+                if self._test.is_better(Sampled(lattice, further[1]), mirror):
                     speed, values = further
             elif self._common(field, share) > _MOST_MIRRORING:
                 speed, values = self._tried(field, torch.zeros_like(share))

@@ -169,13 +169,8 @@ def better_place(
 ) -> tuple[Similarity, Agreement]:
     """The similarity that brings a mesh where its outline fits the masks best, and how well.
 
-    It mirrors only where nothing else fits.
-
-    Args:
-        vertices: (N, 3) of the mesh, its bounding sphere being the unit sphere.
-        tracer: Of the same.
-        views: Training views, unit frame.
-        here: What brings it to where it is; None where that tells nothing.
+    It mirrors only where nothing else fits. The mesh's bounding sphere is the unit sphere; `here`
+    brings it to where it is, None where that tells nothing.
     """
     coarse = Outlines(views, COARSE_SIDE)
     fine = Outlines(views, FINE_SIDE)

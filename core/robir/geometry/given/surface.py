@@ -40,7 +40,7 @@ from robir.geometry.remask import cut_about
 from robir.jobs.context import Reporter
 from robir.maths.similarity import Similarity
 
-_LIKELY = 0.75  # that a place has at least which is proposed
+_PROPOSED_SHARE = 0.75  # that a place has at least which is proposed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,15 +77,11 @@ def hand_in(
 ) -> Handed:
     """Read, check, place and unwrap the user's mesh.
 
-    Args:
-        path: Its file.
-        captures: The capture in its own frame and in the unit frame.
-        config: Of the stage.
-        picture: File in which a mesh that does not fit is shown.
-        reporter: Told how far it is, and what is given up while unwrapping.
+    `captures` are the capture in its own frame and in the unit frame.
 
     Raises:
-        CaptureError: If it cannot be read or does not fit the photographs; says how it would.
+        CaptureError: If it cannot be read or does not fit the photographs; says how it would, and
+            `picture` shows it.
     """
     reporter.progress(0.0, "reading the mesh")
     given = read_mesh(path)
@@ -171,7 +167,7 @@ def _placed(
     own = place.outside(bounds.centre, bounds.radius)
     how = f"its outline and the masks share {now.share:.0%} of what either has"
     gain = 0.0 if config.fit_mesh else BETTER
-    if then.share < _LIKELY or then.share <= now.share + gain:
+    if then.share < _PROPOSED_SHARE or then.share <= now.share + gain:
         if is_related(now):
             return given.noted(*poor_fit(now)), now
         show_fit(tracer, (here, there), views, picture)

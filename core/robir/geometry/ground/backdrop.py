@@ -38,7 +38,7 @@ from robir.geometry.ground.flatten import SAME_COLOUR, Columns, Ground, colours_
 from robir.geometry.ground.plane import detect
 from robir.geometry.hull import HULL_VIEWS, HullCarver
 from robir.geometry.lattice import Lattice, Sampled
-from robir.geometry.rays import Photo, reduce_view
+from robir.geometry.rays import ReducedPhoto, reduce_view
 from robir.maths.vectors import farthest_points
 
 Array = NDArray[np.float64]
@@ -97,16 +97,16 @@ def common_colour(colours: NDArray[np.floating], palette: Mask) -> Array:
     """
     shown = np.isfinite(colours[..., 0])
     step = np.clip((np.nan_to_num(colours) * _BINS).astype(int), 0, _BINS - 1)
-    likely = shown & palette[step[..., 0], step[..., 1], step[..., 2]]
-    values = np.where(likely[..., None], colours, 9.0)
+    matches = shown & palette[step[..., 0], step[..., 1], step[..., 2]]
+    values = np.where(matches[..., None], colours, 9.0)
     votes = np.stack(
         [
-            (np.abs(values - one).mean(-1) < SAME_COLOUR).sum(0) * is_likely
-            for one, is_likely in zip(values, likely, strict=True)
+            (np.abs(values - one).mean(-1) < SAME_COLOUR).sum(0) * is_match
+            for one, is_match in zip(values, matches, strict=True)
         ]
     )
     best, spots = votes.argmax(0), np.arange(colours.shape[1])
-    near = likely & (np.abs(values - values[best, spots]).mean(-1) < SAME_COLOUR)
+    near = matches & (np.abs(values - values[best, spots]).mean(-1) < SAME_COLOUR)
     total = np.where(near[..., None], values, 0.0).sum(0)
     common = total / np.maximum(near.sum(0), 1)[:, None]
     enough = votes[best, spots] >= np.maximum(_LEAST_VIEWS, _LEAST_SHARE * shown.sum(0))
@@ -125,7 +125,7 @@ def hues_held(colours: Array, certain: Array) -> Mask:
     return dim | np.isfinite(distance[:, 0])
 
 
-def pixel_noise(photos: list[Photo]) -> float:
+def pixel_noise(photos: list[ReducedPhoto]) -> float:
     """Standard deviation of what pixels differ by from their neighbours for no reason, display.
 
     What a second difference along both axes leaves is free of shades and of straight edges
@@ -173,7 +173,7 @@ class PixelRays:
         sample: Pixels that are looked at where a sample will do.
     """
 
-    def __init__(self, columns: Columns, photo: Photo) -> None:
+    def __init__(self, columns: Columns, photo: ReducedPhoto) -> None:
         self._origins, self._directions = photo.camera.rays(photo.camera.pixel_centres())
         start = columns.plane.local(self._origins)
         self._falling = -self._directions @ columns.plane.axes[2]
@@ -221,7 +221,7 @@ class PixelRays:
 
 
 def find_ground(
-    views: Sequence[View], photos: list[Photo], hull: Sampled, generator: torch.Generator
+    views: Sequence[View], photos: list[ReducedPhoto], hull: Sampled, generator: torch.Generator
 ) -> tuple[Backdrop, Tensor] | None:
     """The flat ground under the object, and the hull (N,) without the bulge of bare ground.
 
@@ -252,7 +252,7 @@ class Backdrop:
         foreign: Columns at whose feet a hue is seen that the ground does not have.
     """
 
-    def __init__(self, ground: Ground, photos: list[Photo]) -> None:
+    def __init__(self, ground: Ground, photos: list[ReducedPhoto]) -> None:
         self.ground, self._photos = ground, photos
         columns = ground.columns
         self._rays = [PixelRays(columns, photo) for photo in photos]

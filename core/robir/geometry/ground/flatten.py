@@ -25,7 +25,7 @@ from torch import Tensor
 from robir.geometry.ground.plane import SupportPlane, project_outline, within
 from robir.geometry.hull import HullCarver
 from robir.geometry.lattice import Lattice
-from robir.geometry.rays import Photo
+from robir.geometry.rays import ReducedPhoto
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -97,7 +97,9 @@ class Columns:
         return map_coordinates(values, at.T, order=1, mode="nearest")
 
 
-def lens_heights(columns: Columns, photos: list[Photo], lattice: Lattice, highest: float) -> Array:
+def lens_heights(
+    columns: Columns, photos: list[ReducedPhoto], lattice: Lattice, highest: float
+) -> Array:
     """Height, up to `highest`, to which the hull of the bare ground bulges over each column."""
     cameras = [photo.camera for photo in photos]
     bare = [project_outline(columns.plane, c).astype(np.float32) for c in cameras]
@@ -131,7 +133,7 @@ class Ground:
     """
 
     def __init__(
-        self, plane: SupportPlane, photos: list[Photo], lattice: Lattice, hull: Tensor
+        self, plane: SupportPlane, photos: list[ReducedPhoto], lattice: Lattice, hull: Tensor
     ) -> None:
         self.columns, self._photos = Columns(plane, lattice.cell), photos
         lens = lens_heights(self.columns, photos, lattice, _HIGHEST_LENS)
@@ -211,7 +213,7 @@ def _depth_inside(area: Mask) -> Array:
     return distance_transform_edt(area) - distance_transform_edt(~area)
 
 
-def feet_agree(columns: Columns, wanted: Mask, tops: Array, photos: list[Photo]) -> Mask:
+def feet_agree(columns: Columns, wanted: Mask, tops: Array, photos: list[ReducedPhoto]) -> Mask:
     """Whether the photographs agree on the colour at the feet of wanted columns.
 
     False where they agree better about the surface over the foot, whose height is `tops`.
@@ -227,20 +229,12 @@ def feet_agree(columns: Columns, wanted: Mask, tops: Array, photos: list[Photo])
 
 
 def deviations(
-    columns: Columns, wanted: Mask, heights: Array, tops: Array, photos: list[Photo]
+    columns: Columns, wanted: Mask, heights: Array, tops: Array, photos: list[ReducedPhoto]
 ) -> Array:
-    """How much the photographs differ on the colour of spots over wanted columns.
+    """How much photographs differ on the colour of spots over wanted columns, the columns' shape.
 
-    Args:
-        columns: Columns over the support plane.
-        wanted: Columns to judge, the columns' shape.
-        heights: Height of each column's spot above the plane, finite where wanted.
-        tops: Height of the present surface over each column; what stands hides spots.
-        photos: Photographs.
-
-    Returns:
-        Mean difference from the median display colour, the columns' shape; NaN where not wanted or
-        where too few photographs show the spot.
+    Mean difference from the median display colour of spots at `heights` above the plane, NaN where
+    not wanted or shown by too few; what stands below `tops` hides spots.
     """
     chosen = np.flatnonzero(wanted)
     spots = np.column_stack([columns.feet[chosen], heights.ravel()[chosen]])
@@ -248,14 +242,14 @@ def deviations(
     colours = colours_at(columns, spots, photos)
     for own, photo in zip(colours, photos, strict=True):
         own[hidden(columns, tops, over, spots, photo)] = np.nan
-    judged = np.isfinite(colours[..., 0]).sum(axis=0) >= _LEAST_VIEWS
-    found = colours[:, judged]
+    enough = np.isfinite(colours[..., 0]).sum(axis=0) >= _LEAST_VIEWS
+    found = colours[:, enough]
     result = np.full(wanted.size, np.nan)
-    result[chosen[judged]] = np.nanmean(np.abs(found - np.nanmedian(found, axis=0)), axis=(0, 2))
+    result[chosen[enough]] = np.nanmean(np.abs(found - np.nanmedian(found, axis=0)), axis=(0, 2))
     return result.reshape(wanted.shape)
 
 
-def colours_at(columns: Columns, spots: Array, photos: list[Photo]) -> NDArray[np.float32]:
+def colours_at(columns: Columns, spots: Array, photos: list[ReducedPhoto]) -> NDArray[np.float32]:
     """Display colours (V, K, 3) at spots (K, 3) of the plane's frame, as if nothing stood before.
 
     NaN where a photograph does not hold the spot.
@@ -273,7 +267,7 @@ def colours_at(columns: Columns, spots: Array, photos: list[Photo]) -> NDArray[n
     return colours
 
 
-def hidden(columns: Columns, tops: Array, over: Array, spots: Array, photo: Photo) -> Mask:
+def hidden(columns: Columns, tops: Array, over: Array, spots: Array, photo: ReducedPhoto) -> Mask:
     """Whether lines from spots (K, 3) to a camera pass below what is higher than `over` (K,)."""
     eye = columns.plane.local(photo.camera.position)
     highest = tops.max()

@@ -24,7 +24,7 @@ from torch import Tensor
 
 from robir.capture.camera import Camera
 from robir.geometry.lattice import Lattice, Sampled
-from robir.geometry.rays import Photo
+from robir.geometry.rays import ReducedPhoto
 from robir.maths.vectors import tangents
 
 Array = NDArray[np.float64]
@@ -105,7 +105,7 @@ class OutlineRays(NamedTuple):
     outward: Array
 
 
-def _outline_rays(photo: Photo) -> OutlineRays:
+def _outline_rays(photo: ReducedPhoto) -> OutlineRays:
     """Rays through a mask's outline."""
     curves = [c for c in find_contours(np.pad(photo.coverage, 1), 0.5) if len(c) > 12]
     if not curves:
@@ -156,7 +156,7 @@ def touching_points(
 
 
 def detect(
-    photos: list[Photo],
+    photos: list[ReducedPhoto],
     lattice: Lattice,
     hull: Tensor,
     generator: torch.Generator,
@@ -239,7 +239,7 @@ def _outlined(rim: Array, normal: Array, offset: float) -> SupportPlane | None:
     return SupportPlane(origin=origin, axes=axes, outline=outline - middle)
 
 
-def _is_ground(plane: SupportPlane, rim: Array, photos: list[Photo], hull: Sampled) -> bool:
+def _is_ground(plane: SupportPlane, rim: Array, photos: list[ReducedPhoto], hull: Sampled) -> bool:
     """Whether a plane is ground: its rim runs all round, it carries all, and masks contain it."""
     local = plane.local(rim)[:, :2]
     turn = np.sort(np.arctan2(local[:, 1], local[:, 0]))
@@ -276,22 +276,13 @@ def within(outline: Array, points: Array) -> NDArray[np.bool_]:
 def level(
     rays: OutlineRays, touching: NDArray[np.int64], middle: Array, normal: Array, width: float
 ) -> float:
-    """How far to raise a plane so that all photographs see the same far edge in it.
+    """How far to raise a plane, unit frame, so that all photographs see the same far edge in it.
 
-    Where a visual hull bulges, the touching point of an outline's ray is a guess, and a ground laid
-    through such guesses comes out high. In a plane that is too high, flat cameras see its edge
-    nearer to the middle than steep ones do. Linear least squares for the edge, for the rise and for
-    the radius of a rounding of the edge, repeated with Geman-McClure weights.
-
-    Args:
-        rays: All outlines.
-        touching: Numbers of those that are thought to touch the edge, to begin with.
-        middle: (3,) point of the plane within the edge, unit frame.
-        normal: (3,) unit normal of the plane, towards the cameras.
-        width: How far a ray may miss the edge at first, and the plane move, unit frame.
-
-    Returns:
-        The rise, unit frame; 0 where too few rays agree on an edge or none is near.
+    Where a visual hull bulges, touching points are guesses, and a ground through them is too high:
+    flat cameras see its edge nearer to the middle than steep ones do. Linear least squares for the
+    edge, the rise and the radius of the edge's rounding, repeated with Geman-McClure weights; 0
+    where too few rays agree. It begins with the rays `touching`; a ray may miss by `width` at
+    first.
     """
     weight = np.zeros(len(rays.origins))
     weight[touching] = 1.0

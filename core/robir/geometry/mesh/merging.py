@@ -38,10 +38,7 @@ def merged_charts(
 ) -> tuple[Array, Ints]:
     """Texture coordinates (Nu, 2) in the mesh's own size, not packed, and their indices (Nf, 3).
 
-    Args:
-        vertices: (Nv, 3).
-        faces: (Nf, 3).
-        atlas: Texture coordinates (N, 2) of the charts to begin with, and their indices (Nf, 3).
+    `atlas` holds those of the charts to begin with.
     """
     charts = _Charts(vertices.astype(np.float64), faces.astype(np.int64), atlas)
     charts.merge()

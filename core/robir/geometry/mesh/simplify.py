@@ -21,10 +21,10 @@ _AGGRESSION = 3.0
 def decimate(mesh: Mesh, face_budget: int) -> Mesh:
     """Collapse edges by quadric error until the face budget is met.
 
-    Garland and Heckbert 1997, "Surface simplification using quadric error metrics". The library
-    collapses what lies below a threshold that rises from sweep to sweep, not the cheapest edge
-    first; one call from a dense mesh spends its collapses unevenly. Calls that halve the mesh start
-    over with a low threshold each. Degenerate triangles and unused vertices go.
+    Garland and Heckbert 1997, "Surface simplification using quadric error metrics". The
+    library collapses what lies below a threshold that rises from sweep to sweep, not the cheapest
+    edge first; one call from a dense mesh spends its collapses unevenly. Calls that halve the mesh
+    start over with a low threshold each. Degenerate triangles and unused vertices go.
     """
     while len(mesh.faces) > face_budget:
         target = max(face_budget, int(_SHARE_LEFT * len(mesh.faces)))

@@ -90,11 +90,7 @@ class Mesh:
 
     @classmethod
     def load(cls, path: Path, *, is_bare: bool = False) -> Mesh:
-        """Read what `save` wrote.
-
-        Args:
-            path: The file.
-            is_bare: Whether it may lack texture coordinates.
+        """Read what `save` wrote; a bare mesh may lack texture coordinates.
 
         Raises:
             StorageError: If it is missing or damaged.

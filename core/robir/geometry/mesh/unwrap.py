@@ -70,10 +70,7 @@ def triangle_charts(count: int) -> tuple[NDArray[np.float32], NDArray[np.int32]]
 def unwrap(mesh: Mesh, seconds: float, warn: Callable[[str], None]) -> Mesh:
     """Give a mesh texture coordinates, at worst with fewer faces or a place for each.
 
-    Args:
-        mesh: Mesh without texture coordinates.
-        seconds: Longest processor time of one attempt.
-        warn: Told what was given up.
+    `seconds` is the longest processor time of one attempt; `warn` is told what was given up.
     """
     charts = _in_child(mesh, seconds)
     for _ in range(2):
@@ -96,15 +93,9 @@ def unwrap(mesh: Mesh, seconds: float, warn: Callable[[str], None]) -> Mesh:
 
 
 def rasterise_atlas(mesh: Mesh, size: int) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """Which face every texel belongs to, and where on it the texel's centre lies.
+    """Face (size, size) int32 of every texel, -1 for none, and barycentric coordinates, 0 there.
 
-    Args:
-        mesh: Unwrapped mesh.
-        size: Texels T along each side.
-
-    Returns:
-        Face index (T, T) int32, -1 where no face lies, and barycentric coordinates (T, T, 3)
-        float32, 0 there. Row 0 is the top, v = 1; texel centres lie at half integers.
+    Row 0 is the top, v = 1; texel centres lie at half integers.
 
     Raises:
         StorageError: If no face lies on any texel.

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """What photographs say of a vertex' shift along its normal: by patches, and by outlines.
 
-Patches about the vertices, tilted as the surface is, are read from every photograph that sees
-them and compared by normalised cross-correlation (Furukawa and Ponce 2010, "Accurate, dense, and
-robust multi-view stereopsis"), which is indifferent to exposure. Only the photographs that agree
-best count, so that a highlight or what hides the patch in a few does no harm.
+Patches about the vertices, tilted as the surface is, are read from every photograph that
+sees them and compared by normalised cross-correlation (Furukawa and Ponce 2010, "Accurate, dense,
+and robust multi-view stereopsis"), which is indifferent to exposure. Only the photographs that
+agree best count, so that a highlight or what hides the patch in a few does no harm.
 
 Batch letters: B vertices, V views, D shifts, P points of a patch, K views a vertex.
 """
@@ -21,8 +21,8 @@ from robir.capture.camera import Camera
 from robir.geometry.hull import mask_distance
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
-from robir.geometry.rays import Photo
-from robir.geometry.stereo.sweep import Picture
+from robir.geometry.rays import ReducedPhoto
+from robir.geometry.stereo.sweep import StereoPicture
 from robir.maths.vectors import orthonormal_frame
 from robir.workers import blocks, side_by_side
 
@@ -59,7 +59,7 @@ def projection(camera: Camera) -> Tensor:
 def seen_by(
     mesh: Mesh,
     tracer: EmbreeTracer,
-    pictures: list[Picture],
+    pictures: list[StereoPicture],
     offset: float,
 ) -> Floats:
     """Cosine (Nv, V) between normals and views; 0 where a photograph does not show a vertex.
@@ -86,15 +86,10 @@ def seen_by(
 
 
 def agreement(patches: Tensor, valid: Tensor, share: float) -> Tensor:
-    """Mean correlation (B, D) of the photographs of a patch that agree best.
+    """Mean correlation (B, D) of the `share` of the photographs of a patch that agree best.
 
-    Each photograph's mean correlation with all others, over the best `share` of them; 0 where fewer
-    than two show the patch.
-
-    Args:
-        patches: (B, K, D, P) zero-mean patches of about unit length.
-        valid: (B, K) 1 where there is a photograph, else 0.
-        share: Of the photographs that count.
+    Of zero-mean patches (B, K, D, P) of about unit length, valid (B, K) or not; each photograph's
+    mean with all others; 0 where fewer than two show the patch.
     """
     total = (patches * valid[..., None, None]).sum(1, keepdim=True)
     count = valid.sum(1)
@@ -108,7 +103,7 @@ def agreement(patches: Tensor, valid: Tensor, share: float) -> Tensor:
     return torch.where(count[:, None] >= 2, mean, 0.0)
 
 
-class Patches:
+class SurfacePatches:
     """Square patches tangent to a mesh's vertices, as photographs show them."""
 
     def __init__(self, mesh: Mesh, spacing: float, half: int) -> None:
@@ -120,7 +115,7 @@ class Patches:
         )
         self._first, self._second = first, second
 
-    def read(self, picture: Picture, rows: Tensor, shifts: Tensor, noise: float) -> Tensor:
+    def read(self, picture: StereoPicture, rows: Tensor, shifts: Tensor, noise: float) -> Tensor:
         """Patches (B, D, P), their mean taken out, divided by their length and that of noise."""
         normal = self._normal[rows]
         one, two = orthonormal_frame(normal)
@@ -146,19 +141,21 @@ class Patches:
         return values / (values.square().sum(-1, keepdim=True) + right.shape[2] * noise**2).sqrt()
 
 
-def correlations(mesh: Mesh, pictures: list[Picture], cosine: Floats, shifts: Floats) -> Floats:
+def correlations(
+    mesh: Mesh, pictures: list[StereoPicture], cosine: Floats, shifts: Floats
+) -> Floats:
     """Agreement (Nv, D) of the photographs about every vertex at shifts (D,); 0 by fewer than two.
 
     `cosine` (Nv, V) is of `seen_by`.
     """
-    patches = Patches(mesh, pixel_size([picture.camera for picture in pictures]), _WINDOW)
+    patches = SurfacePatches(mesh, pixel_size([picture.camera for picture in pictures]), _WINDOW)
     count = min(_VIEWS, len(pictures))
     order = np.argsort(-cosine, axis=1, kind="stable")[:, :count]
-    judged = np.take_along_axis(cosine, order, axis=1) > 0
+    visible = np.take_along_axis(cosine, order, axis=1) > 0
     tried, points = torch.from_numpy(shifts), (2 * _WINDOW + 1) ** 2
 
-    def told_of(part: slice) -> Floats:
-        chosen, valid = order[part], judged[part]
+    def agreement_of(part: slice) -> Floats:
+        chosen, valid = order[part], visible[part]
         held = torch.zeros(len(chosen), count, len(shifts), points)
         for view in np.unique(chosen[valid]):
             row, slot = np.nonzero((chosen == view) & valid)
@@ -167,7 +164,7 @@ def correlations(mesh: Mesh, pictures: list[Picture], cosine: Floats, shifts: Fl
         told = torch.from_numpy(valid.astype(np.float32))
         return agreement(held, told, _AGREEING).numpy()
 
-    return np.concatenate(side_by_side(told_of, blocks(len(cosine), CHUNK)))
+    return np.concatenate(side_by_side(agreement_of, blocks(len(cosine), CHUNK)))
 
 
 def pixel_size(cameras: list[Camera]) -> float:
@@ -176,7 +173,7 @@ def pixel_size(cameras: list[Camera]) -> float:
 
 
 def outline_shifts(
-    mesh: Mesh, tracer: EmbreeTracer, photos: list[Photo], pixel: float
+    mesh: Mesh, tracer: EmbreeTracer, photos: list[ReducedPhoto], pixel: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Mean shifts (Nv,) along normals that put vertices on the outlines they form.
 

@@ -24,7 +24,7 @@ from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.rays import reduce_view
 from robir.geometry.refine.correlation import correlations, outline_shifts, pixel_size, seen_by
 from robir.geometry.stereo.semiglobal import refined_minimum
-from robir.geometry.stereo.sweep import Picture
+from robir.geometry.stereo.sweep import StereoPicture
 from robir.workers import side_by_side
 
 Array = NDArray[np.float64]
@@ -67,7 +67,7 @@ def refine(mesh: Mesh, views: tuple[View, ...], sides: tuple[int, ...]) -> Mesh:
     reduced = {s: side_by_side(partial(reduce_view, side=s), views) for s in set(sides)}
     for side in sides:
         photos = reduced[side]
-        pictures = [Picture.of(photo) for photo in photos]
+        pictures = [StereoPicture.of(photo) for photo in photos]
         pixel = pixel_size([picture.camera for picture in pictures])
         fine = _subdivided(mesh, _MOST_EDGE * pixel, _MOST_VERTICES)
         mesh = taubin(fine, _FAIR_ROUNDS)
@@ -101,7 +101,7 @@ def best_vertices(mesh: Mesh, evidence: Evidence, pixel: float) -> Array:
     shifts, cost = evidence.shifts, evidence.cost
     reach, step = shifts[-1], shifts[1] - shifts[0]
     plate = ThinPlate(mesh, _CREASE * pixel, _MOST_ITERATIONS)
-    sure = np.clip(cost.max(1) - cost.min(1), 0, 1)
+    confidence = np.clip(cost.max(1) - cost.min(1), 0, 1)
     outline, times = evidence.outline
     at_outline = _OUTLINE * times / reach**2
     moved = np.zeros_like(start)
@@ -111,7 +111,7 @@ def best_vertices(mesh: Mesh, evidence: Evidence, pixel: float) -> Array:
         total = cost + 0.5 * hold * ((shifts - shift[:, None]) / reach) ** 2
         exact = refined_minimum(total[:, None].astype(np.float32))[1][:, 0]
         found = shifts[0] + step * exact
-        at_best = hold * sure / reach**2
+        at_best = hold * confidence / reach**2
         pull = (at_best * found + at_outline * outline)[:, None] * normals
         moved = plate.solve(
             (start, moved),
@@ -148,14 +148,9 @@ class ThinPlate:
     ) -> Array:
         """Motion (Nv, 3) of least bending, anchor and evidence.
 
-        Args:
-            place: Vertices (Nv, 3), and the motion (Nv, 3) to begin with.
-            evidence: Weights (Nv,) of shifts along normals (Nv, 3), and weights times shifts times
-                normals (Nv, 3).
-            anchor: Weight of the vertices as they are.
-            smoothness: Weight of the bending.
-            has_creases: Whether sharp bends of the mesh as it stands are spared: not before the
-                lumps are out that it comes with.
+        `place` is vertices and a first motion (Nv, 3); `evidence` weights (Nv,) of shifts along
+        normals (Nv, 3), and weights times shifts times normals. With creases, sharp bends of the
+        mesh as it stands are spared.
         """
         (start, moved), (weight, normals, pull) = place, evidence
         laplacian = self._laplacian

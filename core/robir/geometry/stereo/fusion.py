@@ -20,9 +20,9 @@ from robir.geometry.lattice import Lattice, Sampled, resample
 from robir.geometry.mesh.isosurface import extract
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
-from robir.geometry.rays import Photo
+from robir.geometry.rays import ReducedPhoto
 from robir.geometry.stereo.smoothest import smoothest
-from robir.geometry.stereo.sweep import DepthMap, Picture, sweep
+from robir.geometry.stereo.sweep import DepthMap, StereoPicture, sweep
 from robir.maths.vectors import farthest_points
 from robir.workers import side_by_side
 
@@ -35,7 +35,7 @@ _SOURCES = 4  # photographs that each is compared with
 # depth, more changes what is seen
 _BASELINE_DEGREES = 14.0
 # angle at the object up to which another photograph's depths can confirm or deny one (degrees)
-_WITNESS = 40.0
+_CONFIRMING_DEGREES = 40.0
 _VIEWS = 48  # most photographs that get a depth map
 _AT_ONCE = 8  # of these at most: each takes some hundred megabytes meanwhile
 _LEAST_AGREEING = 3  # other depth maps that must agree with a depth
@@ -73,20 +73,14 @@ class Fused:
 
 
 def stereo_surface(
-    photos: list[Photo], hull: Sampled, coarseness: float = 1.0, *, holds_masks: bool = False
+    photos: list[ReducedPhoto], hull: Sampled, coarseness: float = 1.0, *, holds_masks: bool = False
 ) -> Sampled:
     """The surface that depth maps agree on, and the visual hull where they say nothing.
 
-    What mirrors a light shows it behind the surface, and a few maps agree on that: less trust than
-    chance and highlights get counts as none. A plain part then lies where its outlines put it, bent
-    no more than it must be to meet what is known around it.
-
-    Args:
-        photos: Photographs with masks, unit frame.
-        hull: Their visual hull.
-        coarseness: Share of a final surface's cells along a side.
-        holds_masks: Whether depths that leave nothing where a mask shows the object are wrong.
-            They are where it mirrors; a guessed mask may hold background instead.
+    Less trust than chance and highlights get counts as none. A plain part then lies where its
+    outlines put it, bent no more than what is known around it asks. `coarseness` is the share of a
+    final surface's cells along a side; with `holds_masks`, depths that leave nothing where a mask
+    shows the object are wrong, as where it mirrors.
     """
     lattice, outer = hull
     lower, upper = np.asarray(lattice.lower) + 3 * lattice.cell, lattice.upper - 3 * lattice.cell
@@ -118,7 +112,7 @@ def stereo_surface(
     return surface
 
 
-def carved_in_vain(surface: Sampled, photos: list[Photo], hull: Tensor) -> Tensor:
+def carved_in_vain(surface: Sampled, photos: list[ReducedPhoto], hull: Tensor) -> Tensor:
     """Nodes (N,) bool of the hull (N,) on rays well inside a mask that miss the surface."""
     lattice, _ = surface
     mesh = extract(*surface)
@@ -140,9 +134,9 @@ def carved_in_vain(surface: Sampled, photos: list[Photo], hull: Tensor) -> Tenso
     return lattice.dilated(marked, _AROUND)
 
 
-def depth_maps(photos: list[Photo], hull: Mesh) -> list[DepthMap]:
+def depth_maps(photos: list[ReducedPhoto], hull: Mesh) -> list[DepthMap]:
     """Depth maps of photographs far from each other that have two others at a good angle."""
-    pictures = [Picture.of(photo) for photo in photos]
+    pictures = [StereoPicture.of(photo) for photo in photos]
     positions = np.stack([photo.camera.position for photo in photos])
     sources = choose_sources(positions)
     tracer = EmbreeTracer(hull.vertices, hull.faces)
@@ -178,7 +172,7 @@ def confirmed(maps: list[DepthMap], tolerance: float) -> list[DepthMap]:
         rows, columns = np.nonzero(one.correlation > _LEAST_CORRELATION)
         points = points_at(one, rows, columns)
         votes = np.zeros(len(points), int)
-        for other in np.flatnonzero((angle[own] < _WITNESS) & (angle[own] > 0)):
+        for other in np.flatnonzero((angle[own] < _CONFIRMING_DEGREES) & (angle[own] > 0)):
             depth, seen = _looked_up(maps[other], points)
             votes += np.abs(depth - seen) < tolerance
         depth = np.full_like(one.depth, np.nan)

@@ -18,7 +18,7 @@ from torch import Tensor
 from torch.nn.functional import grid_sample
 
 from robir.capture.camera import Camera
-from robir.geometry.rays import Photo
+from robir.geometry.rays import ReducedPhoto
 from robir.geometry.stereo.semiglobal import aggregate, label_spread, refined_minimum
 
 Floats = NDArray[np.float32]
@@ -38,7 +38,7 @@ _TEMPERATURE = 0.05  # difference of that cost that chance makes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Picture:
+class StereoPicture:
     """A photograph as it is compared.
 
     Attributes:
@@ -52,7 +52,7 @@ class Picture:
     whole: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, photo: Photo) -> Picture:
+    def of(cls, photo: ReducedPhoto) -> StereoPicture:
         """A photograph without what lies around the object."""
         grey = photo.premultiplied_display.mean(axis=2) / np.maximum(photo.coverage, 0.05)
         kept = np.where(photo.coverage > 0.05, grey, 0.0).astype(np.float32)
@@ -127,7 +127,7 @@ def plane_depths(near: float, far: float, baseline: float, focal: float) -> NDAr
     return 1 / np.linspace(1 / near, 1 / far, count)
 
 
-def sweep(own: Picture, others: list[Picture], entry: Floats, far: float) -> DepthMap:
+def sweep(own: StereoPicture, others: list[StereoPicture], entry: Floats, far: float) -> DepthMap:
     """Depths at which a photograph agrees with at least two others beside it.
 
     Of the pixels that are wholly object and meet the visual hull, which their rays enter at depth
