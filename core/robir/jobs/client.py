@@ -183,10 +183,7 @@ def request_cancel(root: Path) -> None:
 
 
 def stop(root: Path, *, is_forced: bool = False) -> None:
-    """End the worker without waiting for its next step.
-
-    Forced, it gets no chance to end in good order, and its own children go with it.
-    """
+    """End the worker at once, or by force with its children, which gives it no time for order."""
     child = _children.get(root)
     # The lock names the process that holds it, so no stranger with a used-up number is hit.
     pid = holder(JobPaths(root).lock) or (child.pid if child and child.poll() is None else None)

@@ -135,10 +135,7 @@ def holder(path: Path) -> int | None:
 
 @contextmanager
 def folder_lock(path: Path) -> Iterator[None]:
-    """Hold the lock file for the length of the block, and remove it at the end.
-
-    `UsageError` if another process, which it names, holds it; or if it is a link or a pipe.
-    """
+    """Hold the lock file for the block, then remove it; `UsageError` if another process has it."""
     handle = _acquire(path)
     try:
         os.ftruncate(handle, 0)
