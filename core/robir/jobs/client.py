@@ -105,12 +105,10 @@ class Snapshot:
 
 
 def start(program: Sequence[str], request: Request, environment: Mapping[str, str]) -> None:
-    """Start a worker that goes on when this process ends, and gives way to other work.
+    """Start a worker, PROGRAM and the request's words, that goes on when this process ends.
 
-    `program` is the words before those of the request, such as PYTHON -P -m robir, and
-    `environment` all variables of the worker. `UsageError` if the result folder holds other things
-    or a worker is at work in it, `StorageError` if nothing can be written there, `DeviceError` if
-    the program cannot be run.
+    `UsageError` if the folder holds other things or a worker is at work, `StorageError` if nothing
+    can be written there, `DeviceError` if the program cannot be run.
     """
     paths = JobPaths(request.out)
     create(paths)

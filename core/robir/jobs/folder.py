@@ -24,9 +24,8 @@ from robir.jobs.paths import JobPaths
 def special_fault(root: Path, names: Iterable[str] | None = None) -> str | None:
     """What is wrong with a folder of ours that holds pipes, devices or links out of it, or None.
 
-    A pipe stops who opens it, and what is written by way of a link lands elsewhere. Captures,
-    results and libraries are all asked by this. `names` are those directly in it that are looked
-    at; None for all.
+    A pipe stops who opens it, and what is written by way of a link lands elsewhere. `names` are
+    those directly in it that are looked at; None for all.
     """
     home, found = Path(os.path.realpath(root)), [root]
     while found:
