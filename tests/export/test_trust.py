@@ -48,7 +48,7 @@ def doubted(capture, mesh, arrays, rerender=25.0, left_open=None):
     names = [
         name
         for name, sign in found["signs"].items()
-        if SIGNS[name].is_doubtful(sign["value"], sign["limit"])
+        if SIGNS[name].is_doubtful(sign["value"])
     ]
     assert len(found["doubts"]) == len(names)
     assert found["is_trusted"] == (not names)
@@ -84,7 +84,7 @@ def test_the_verdict_is_one_word_one_reason_and_one_remedy():
 @pytest.mark.parametrize("name", SIGNS)
 def test_near_lies_on_the_good_side_of_every_limit(name):
     sign = SIGNS[name]
-    assert not sign.is_doubtful(sign.near, sign.limit)
+    assert not sign.is_doubtful(sign.near)
     just = sign.limit + 1e-6 * (sign.limit - sign.near)
     assert verdict({name: just})["word"] == "Doubtful"
     assert verdict({name: sign.limit + 0.5 * (sign.near - sign.limit)})["word"] == "Check this"

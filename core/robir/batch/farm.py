@@ -66,23 +66,22 @@ def write_openjd(job: Job, folder: Path) -> Path:
         for name, place in job.places.items()
     ]
     write_json(folder / "parameter_values.json", {"parameterValues": values})
+    folder_kind = {"type": "PATH", "objectType": "DIRECTORY"}
     python = {"name": "Python", "type": "STRING", "default": "python3"}
     template = {
         "specificationVersion": "jobtemplate-2023-09",
         "name": job.name[:128],
         "parameterDefinitions": [
-            *(_parameter(name, place) for name, place in job.places.items()),
+            *(
+                {"name": name, "description": place.about, **folder_kind, "dataFlow": place.flow}
+                for name, place in job.places.items()
+            ),
             python | {"description": "Python that has robir"},
         ],
         "steps": [_step(step) for step in job.steps],
     }
     write_json(folder / "template.json", template)
     return folder
-
-
-def _parameter(name: str, place: Place) -> dict[str, Any]:
-    kind = {"type": "PATH", "objectType": "DIRECTORY", "dataFlow": place.flow}
-    return {"name": name, "description": place.about, **kind}
 
 
 def _step(step: Step) -> dict[str, Any]:
@@ -178,12 +177,7 @@ _PARTS = {"Read": ("capture", "capture"), "Fit": (FIT, FIT), "Finish": ("transpo
 def library_job(
     paths: LibraryPaths, captures: Path, tasks: Sequence[int], memory: int, queue: str | None
 ) -> Job:
-    """The captures that are to be done, by their numbers in the plan, and the page after all.
-
-    `memory` is what the most hungry of them needs, bytes. `queue` is None for all stages in one
-    task. Else the fit is a task of its own that asks for a graphics card, on Slurm in the partition
-    of this name; empty for the usual one.
-    """
+    """The captures to do, by number, and the page after all; the fit alone in a `queue`, if one."""
     root = paths.root.absolute()
     common = ("batch", "--resume", "-o", "{{Param.Library}}", "--captures", "{{Param.Captures}}")
     steps: list[Step] = []

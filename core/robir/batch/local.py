@@ -191,7 +191,8 @@ class LocalBatch:
             try:
                 client.start(self.program, item.request, environment)
             except client.START_ERRORS as error:
-                self._settle(item, _failed(name, error))
+                fault = {"message": str(error), "exit_code": error.exit_code}
+                self._settle(item, Standing(name=name, state="failed", **fault))
             else:
                 item.standing = Standing(name=name, state="running", message="starting")
                 self._running.append(item)
@@ -254,10 +255,6 @@ def worker_environment(cores: int | None = None) -> dict[str, str]:
     """Variables of a process: cores, None for all, and one thread for libraries unless told."""
     share = {} if cores is None else {CORES: str(max(1, cores))}
     return {"OMP_NUM_THREADS": "1", **os.environ, **share}
-
-
-def _failed(name: str, error: RobirError) -> Standing:
-    return Standing(name=name, state="failed", message=str(error), exit_code=error.exit_code)
 
 
 _BASE = 700 << 20

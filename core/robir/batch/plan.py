@@ -100,12 +100,10 @@ class Plan:
 
 
 def read_plan(sources: Sequence[str], changes: Mapping[str, Any], paths: LibraryPaths) -> Plan:
-    """What PLAN.toml says, or the captures that are named, also with `*`.
+    """What PLAN.toml says, or the captures that are named, with changes to each `Entry`.
 
-    Changes, values of `Entry` from the command line, come before the plan's own, but settings are
-    added to its. The library is no capture of its own, and its files' names are no result's.
-    `ConfigError` if the plan is wrong; `UsageError` if there is no capture, or two have one name,
-    or the library needs that itself.
+    Settings are added to the plan's own. `ConfigError` if the plan is wrong, `UsageError` if there
+    is no capture, two have one name, or the library needs that itself.
     """
     if len(sources) == 1 and sources[0].endswith(".toml"):
         tables, options = _tables(Path(sources[0]))

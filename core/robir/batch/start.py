@@ -45,11 +45,7 @@ _OF_THE_CAPTURE = frozenset(kind.exit_code for kind in (UsageError, CaptureError
 
 
 def batch(options: Namespace, program: Sequence[str] | None = None) -> int:
-    """Do what is missing of a library, or hand it to a farm; prints where it is.
-
-    Its options are those of `robir.cli`; `program` starts the engine instead of this Python's own.
-    The largest exit code of the captures that failed; 0 if none did.
-    """
+    """Do what is missing of a library, or hand it to a farm; the largest failing exit code or 0."""
     paths = LibraryPaths(options.out)
     program = program or (sys.executable, "-P", "-m", "robir")
     refuse_special(paths.root, paths.taken)

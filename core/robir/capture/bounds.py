@@ -146,10 +146,7 @@ def _first_guess(silhouettes: Sequence[Silhouette]) -> Bounds | None:
 def _coarse(
     silhouettes: Sequence[Silhouette], where: Bounds, limit: Bounds | None, dissent: int
 ) -> tuple[Array, float]:
-    """Kept cells (N, 3) of the coarse grid about the hull and half their side.
-
-    The cube grows while the hull touches its walls, unless limited, and then shrinks onto the hull.
-    """
+    """Kept cells (N, 3) of a coarse grid that grows and shrinks onto the hull, and half a side."""
     centre, reach = where.centre, where.radius
     cells, half = _carved_cube(silhouettes, centre, reach, dissent)
     if limit is not None:

@@ -325,11 +325,7 @@ def _sorted(findings: tuple[Finding, ...]) -> tuple[Finding, ...]:
 
 
 def stands_of(frames: FrameSet) -> dict[str, Any] | None:
-    """Where the photographs of a refused capture were taken, as plain values for JSON, or None.
-
-    "cameras" are like those of an accepted capture, each with its "image"; "centre" and "radius"
-    say where they look; "points" are sparse, (N, 3).
-    """
+    """Cameras of a refused capture, where they look and sparse points (N, 3), for JSON; or None."""
     posed = [
         (frame, camera) for frame in frames.frames if (camera := _camera_of(frame)) is not None
     ]

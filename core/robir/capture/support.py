@@ -56,10 +56,7 @@ def across(normal: Array) -> Array:
 
 
 def support_plane(points: Array, cameras: Sequence[Camera], distance: float) -> Plane | None:
-    """The plane with most points (N, 3) on it and next to none below, all but few cameras above.
-
-    By random triples (Fischler and Bolles 1981); None where the points show none.
-    """
+    """The plane with most points (N, 3) on it, next to none below, by Fischler and Bolles 1981."""
     if len(points) < 2 * LEAST_PATCHES:
         return None
     eyes = np.stack([camera.position for camera in cameras])

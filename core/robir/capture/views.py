@@ -100,10 +100,7 @@ def splits(frames: Sequence[Frame], config: CaptureConfig) -> list[tuple[Frame, 
 
 
 def _in_sector(poses: Sequence[Array], width: float) -> NDArray[np.bool_]:
-    """Which cameras (4, 4) stand in the sector about the middle one, seen from above.
-
-    The object is where optical axes meet (least squares), above where cameras' upper sides point.
-    """
+    """Which cameras (4, 4) stand in the sector about the middle one, seen from above the object."""
     matrices = np.asarray(poses, np.float64)
     centres, axes = matrices[:, :3, 3], -matrices[:, :3, 2]
     across = np.eye(3) - axes[:, :, None] * axes[:, None]
@@ -129,12 +126,11 @@ def load_views(
     max_side: int,
     progress: Progress,
 ) -> Loaded:
-    """Read photographs, undistorted, cut to the object and reduced to `max_side` pixels.
-
-    `masks`, or their files, by frame name win over the format's own and over alpha.
-    """
+    """Read photographs with `masks` by frame name or their own, cut and reduced to `max_side`."""
     readings, findings = [], []
-    most = _most_pixels(chosen)
+    sizes = [frame.lens.size or stored_size(frame.image) for frame, _ in chosen]
+    pixels = [width * height for width, height in filter(None, sizes)]
+    most = max(HARMLESS_PIXELS, MAX_RATIO * float(np.median(pixels)) if pixels else 0.0)
     exposure = _exposure([frame for frame, _ in chosen])
 
     def read(pair: tuple[Frame, Split]) -> Reading | CaptureRefusedError:
@@ -198,13 +194,6 @@ def _about_colours(readings: Sequence[Reading], exposure: float) -> list[Finding
     message, cure = f"{message}linear", "Give all photographs of one kind."
     mixed = toned if len(toned) < len(readings) else []
     return found + some("warning", "mixed-tone-curves", mixed, message, cure)
-
-
-def _most_pixels(chosen: Sequence[tuple[Frame, Split]]) -> float:
-    """Pixels that a photograph of this capture may have, by what most of them have."""
-    sizes = [frame.lens.size or stored_size(frame.image) for frame, _ in chosen]
-    pixels = [width * height for width, height in filter(None, sizes)]
-    return max(HARMLESS_PIXELS, MAX_RATIO * float(np.median(pixels)) if pixels else 0.0)
 
 
 def _refuse_odd_size(frame: Frame, most: float) -> None:

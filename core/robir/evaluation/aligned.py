@@ -55,10 +55,7 @@ class Alignment:
 
 
 def truth_of(capture: Path, paths: JobPaths) -> tuple[Truth, Alignment | None]:
-    """The truth of a rendered capture where a result stands, and how it was brought there, if so.
-
-    `CaptureError` if there is no truth, or it is of other photographs.
-    """
+    """The truth where a result stands, and how it was brought there, if so; or a `CaptureError`."""
     known = load_truth(capture)
     if not known.cameras:
         return known, None

@@ -201,11 +201,7 @@ def relit_picture(paths: JobPaths, view: str) -> Path:
 
 
 def relight_scores(paths: JobPaths, truth: Truth) -> dict[str, Any] | None:
-    """PSNR of relit radiance over the pixels that are wholly object in result and truth.
-
-    "psnr_srgb" and "psnr_linear" by alignment and "scale", as of `metrics.albedo_scores`, radiance
-    clipped to [0, 1]; "views" that were compared. None where nothing was relit.
-    """
+    """`metrics.albedo_scores` of relit radiance in [0, 1], and its "views"; None if not relit."""
     facts = stored_facts(paths.stage("appearance") / "tone_curve.json", TONE_CURVE)
     curve = tone.curve_from_name(facts["family"], facts["parameters"])
     pairs = [_radiance(paths, truth, view, curve) for view in truth.views]

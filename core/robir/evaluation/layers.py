@@ -102,11 +102,7 @@ def load_textures(paths: JobPaths, *needed: str) -> dict[str, Array]:
 def view_layers(
     mesh: Mesh, textures: dict[str, Array], cameras: Iterable[Camera], sub_pixels: int = SUB_PIXELS
 ) -> tuple[Layers, ...]:
-    """What each camera sees of an unwrapped mesh in the cameras' frame.
-
-    Textures are "albedo_linear" (T, T, 3), "roughness" (T, T), "inside" (T, T), and "uncertainty"
-    (T, T) where it is stated; `sub_pixels` are rays along either side of a pixel, odd.
-    """
+    """What cameras see of an unwrapped mesh with textures (T, T, ...), by odd rays a pixel side."""
     caster = MeshCaster(mesh)
     inside = textures["inside"].astype(bool)
     planes = [textures[name] for name in ("roughness", "uncertainty") if name in textures]

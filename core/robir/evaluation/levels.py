@@ -154,11 +154,7 @@ def _camera_facts(paths: JobPaths) -> tuple[dict[str, Any], dict[str, Any]]:
 def level_pictures(
     paths: JobPaths, known: tuple[Mesh, Exposures], capture: Capture, views: Sequence[View]
 ) -> dict[str, Pictures]:
-    """What each level shows of the held-out views, at their size and exposure, by level.
-
-    `known` is the surface and how all photographs were exposed and lit; the capture is in the unit
-    frame, without photographs in another light. Empty where the level is not to be had.
-    """
+    """What each level shows of held-out views, at their size and exposure, in the unit frame."""
     mesh, exposures = known
     photographs = [exposures.evened(resize_view(view, SIDE)) for view in capture.train]
     nearest, mean = _warped(mesh, photographs, views)

@@ -150,12 +150,7 @@ _MEASURED = {"EMoR mean": "camera"}  # names in scene.json that Blender has not,
 
 
 def true_curve(scene: Mapping[str, Any]) -> tone.AbstractToneCurve | None:
-    """The curve that a scene.json names, or None if it is none of ours.
-
-    "view_transform" is a view transform of Blender or a family of ours, "display_power" is there
-    where the photographs were re-toned afterwards, and "look" where a look of Blender's came first,
-    which makes it none of ours.
-    """
+    """The curve of a scene.json: "view_transform" and "display_power"; None if not of ours."""
     if scene.get("look"):
         return None
     name = _MEASURED.get(scene["view_transform"], scene["view_transform"])

@@ -58,11 +58,7 @@ def photo_scores(rerender: Picture, view: View) -> dict[str, float] | None:
 def exposed(
     picture: Picture, steps: Sequence[float] | NDArray[np.float64], curve: AbstractToneCurve
 ) -> Picture:
-    """A picture (H, W, 3 or 4), codes, as a camera of another exposure and white balance shows it.
-
-    `steps` (3,) or (H, W, 3) are stops by which each channel is brighter, `curve` the tone curve
-    that the picture went through; alpha stays.
-    """
+    """Codes (H, W, 3 or 4) as a camera with stops (3,) or (H, W, 3) more shows them, by a curve."""
     display = torch.from_numpy(picture[..., :3].astype(np.float32) / 255)
     linear = curve.linear_from_display(display) * torch.from_numpy(
         2.0 ** np.asarray(steps, np.float32)
@@ -207,11 +203,7 @@ def thumbnail(picture: Picture, side: int = MAX_SIDE) -> Picture:
 def truth_sheet(
     paths: JobPaths, layers: tuple[Layers, ...], truth: Truth, albedo_scale: Array
 ) -> list[dict[str, Picture]]:
-    """Rows of the comparison with truth, at most four: photograph, re-render, material and surface.
-
-    The result's own re-renders are shown where their pose is that of a test view; `albedo_scale`
-    (3,) brings our albedo to the truth's.
-    """
+    """Up to four rows: photograph, re-render, and materials and normals, beside their truth."""
     rerenders = _rerenders(paths)
     rows = []
     count = min(_MAX_ROWS, len(truth.views))

@@ -114,8 +114,8 @@ def chamfer(
 ) -> dict[str, float]:
     """Chamfer distance between what cameras see of two surfaces, in thousandths of the radius.
 
-    "accuracy", mean distance of visible points (N, 3) to the true surface; "completeness", mean
-    distance of truly visible points (M, 3) to the estimate; "chamfer", the mean of the two.
+    "accuracy", mean distance of visible points (N, 3) to the true surface; "completeness", of truly
+    visible points (M, 3) to the estimate; "chamfer", the mean of the two.
     """
     scale = 1000.0 / radius
     accuracy = scale * surface_distance(visible, true_mesh.vertices, true_mesh.faces).mean()

@@ -114,11 +114,7 @@ MAX_LAMP_DIAMETER = math.radians(15.0)
 
 
 def export_light(paths: JobPaths) -> RecoveredLight:
-    """Write environment.exr, light.json and, where there are suns, environment_without_sun.exr.
-
-    The images are 512 x 1024, 32-bit, linear Rec.709, in Blender's world frame, and keep the energy
-    of lobes that are narrower than their texels.
-    """
+    """Write environment.exr, 512 x 1024, light.json, and if there are suns one without them."""
     table = paths.stage("appearance") / "light.json"
     light = load_light(table)
     lamps = sun_lamps(light)
@@ -161,12 +157,7 @@ def sun_lamps(light: RecoveredLight) -> list[dict[str, Any]]:
 
 
 def light_told(evidence: list[dict[str, Any]], of: str) -> list[dict[str, Any]]:
-    """Estimates of how bright the light is ("level") or of its "hue", by evidence.json.
-
-    A row an estimate, then all together, then a colour that the user knows, if any: "by"; "times",
-    this light over that of the last row, or its red over its blue; "within", the factor of one
-    standard deviation.
-    """
+    """Estimates of the light's "level" or "hue": "by", "times" the last row, "within" a factor."""
     rows = [row for row in evidence if row["of"] == of]
     base = rows[-1]["value"] if rows and of == "level" else 0.0
     return [

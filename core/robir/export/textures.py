@@ -54,11 +54,7 @@ class Textures:
 
 
 def grown(image: Array, inside: NDArray[np.bool_], margin: int) -> Array:
-    """Continue islands of an image (T, T) or (T, T, C) into the empty texels about them.
-
-    Each texel up to the margin takes the value of the nearest one `inside` (T, T). What lies
-    further off takes the mean, so that small mip levels keep their tint.
-    """
+    """Islands of (T, T) or (T, T, C) with texels up to a margin as the nearest, others the mean."""
     if not inside.any():
         return image.copy()
     distance, nearest = distance_transform_edt(~inside, return_indices=True)
@@ -166,12 +162,7 @@ class Part:
 def tile_textures(
     arrays: dict[str, Array], tiles: NDArray[np.int32], num_views: int, normal_map: Path
 ) -> tuple[Textures, ...]:
-    """Textures of each of the tiles (Nt,), or of the whole atlas; islands grow within a tile only.
-
-    What one tile has and another lacks, metal and normal maps, all get: a material reads its files
-    of all tiles by one name. `normal_map` is the user's file, as it is called without tiles; often
-    absent.
-    """
+    """Textures of each tile (Nt,) or of the whole; all have metal if one has, for one material."""
     made = []
     for index, number in enumerate(tiles.tolist() or [None]):
         parts = {

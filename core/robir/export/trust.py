@@ -146,11 +146,7 @@ def quality(
 
 
 def verdict(values: dict[str, float]) -> dict[str, str]:
-    """The result in one word by its signs, with one reason and one remedy.
-
-    "word": "Good", "Check this" where a sign is near its limit, or "Doubtful" where one is beyond
-    it; "reason" and "remedy" of the sign that is furthest on the way, empty if good.
-    """
+    """The result in one word, "Good", "Check this" or "Doubtful", and its worst sign."""
     way = {
         name: (value - SIGNS[name].near) / (SIGNS[name].limit - SIGNS[name].near)
         for name, value in values.items()

@@ -105,12 +105,10 @@ class Snapshot:
 
 
 def start(program: Sequence[str], request: Request, environment: Mapping[str, str]) -> None:
-    """Start a worker that goes on when this process ends, and gives way to other work.
+    """Start a worker, PROGRAM and the request's words, that goes on when this process ends.
 
-    `program` is the words before those of the request, such as PYTHON -P -m robir, and
-    `environment` all variables of the worker. `UsageError` if the result folder holds other things
-    or a worker is at work in it, `StorageError` if nothing can be written there, `DeviceError` if
-    the program cannot be run.
+    `UsageError` if the folder holds other things or a worker is at work, `StorageError` if nothing
+    can be written there, `DeviceError` if the program cannot be run.
     """
     paths = JobPaths(request.out)
     create(paths)
@@ -183,10 +181,7 @@ def request_cancel(root: Path) -> None:
 
 
 def stop(root: Path, *, is_forced: bool = False) -> None:
-    """End the worker without waiting for its next step.
-
-    Forced, it gets no chance to end in good order, and its own children go with it.
-    """
+    """End the worker at once, or by force with its children, which gives it no time for order."""
     child = _children.get(root)
     # The lock names the process that holds it, so no stranger with a used-up number is hit.
     pid = holder(JobPaths(root).lock) or (child.pid if child and child.poll() is None else None)

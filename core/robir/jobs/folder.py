@@ -24,9 +24,8 @@ from robir.jobs.paths import JobPaths
 def special_fault(root: Path, names: Iterable[str] | None = None) -> str | None:
     """What is wrong with a folder of ours that holds pipes, devices or links out of it, or None.
 
-    A pipe stops who opens it, and what is written by way of a link lands elsewhere. Captures,
-    results and libraries are all asked by this. `names` are those directly in it that are looked
-    at; None for all.
+    A pipe stops who opens it, and what is written by way of a link lands elsewhere. `names` are
+    those directly in it that are looked at; None for all.
     """
     home, found = Path(os.path.realpath(root)), [root]
     while found:
@@ -135,10 +134,7 @@ def holder(path: Path) -> int | None:
 
 @contextmanager
 def folder_lock(path: Path) -> Iterator[None]:
-    """Hold the lock file for the length of the block, and remove it at the end.
-
-    `UsageError` if another process, which it names, holds it; or if it is a link or a pipe.
-    """
+    """Hold the lock file for the block, then remove it; `UsageError` if another process has it."""
     handle = _acquire(path)
     try:
         os.ftruncate(handle, 0)

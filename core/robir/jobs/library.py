@@ -76,12 +76,7 @@ def start_batch(
     paths: LibraryPaths,
     environment: Mapping[str, str],
 ) -> None:
-    """Start a batch that goes on when this process ends; what it says is in its log.
-
-    `sources` are captures or a plan, absolute; without any the library's own goes on. `program` and
-    `environment` are as for `client.start`. `OSError` if the program cannot be run, or the library
-    cannot be written; or see `refuse_strange`.
-    """
+    """Start a batch of absolute captures, a plan or the library's own, that outlives us."""
     refuse_strange(paths)
     paths.own.mkdir(parents=True, exist_ok=True)
     words = ["batch", *sources, "-o", str(paths.root), "--resume", "--progress", "plain"]

@@ -35,11 +35,7 @@ class DamagedFileError(ValueError):
 
 
 def read_record(path: Path, form: Any) -> Any:
-    """Contents of a JSON file that fit a form: no text that is none, no number that is infinite.
-
-    `OSError` if it cannot be read, is no regular file or too large; `ValueError` if it is no JSON,
-    or holds something else, then a `DamagedFileError`.
-    """
+    """Contents of a JSON file that fit a form, all finite; else an `OSError` or `ValueError`."""
     content = read_regular(path, MAX_BYTES)
     try:
         value = json.loads(content.decode("utf-8"), parse_float=_finite, parse_constant=_finite)

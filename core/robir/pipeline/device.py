@@ -156,12 +156,9 @@ LARGEST_KEPT_BYTES = (1 << 28, 32 << 20)  # the second for old versions of glibc
 
 
 def keep_freed_memory() -> None:
-    """Have freed memory used again instead of handed back to the system.
+    """Have freed memory used again, where glibc would return it to the system and clear it anew.
 
-    A step of a fit makes and drops hundreds of tensors of some megabytes each. By default glibc
-    returns those to the system and asks for them anew, and every page that comes back is cleared
-    and mapped: a seventh of the processor time of the geometry fit. Nothing happens where the C
-    library is another one.
+    That costs a seventh of the processor time of the geometry fit. Other C libraries stay.
     """
     if sys.platform != "linux":
         return

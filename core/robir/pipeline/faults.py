@@ -64,19 +64,15 @@ def translated(error: BaseException, stage: str, out: Path | None) -> BaseExcept
             f"the installation is damaged or not whole ({error}); install robir again"
         )
     if isinstance(error, PermissionError) and error.filename:
-        barred = _barred(Path(error.filename))
+        path = Path(error.filename)  # or the folder on the way to it that may not be entered
+        above = (folder for folder in reversed(path.parents) if folder.is_dir())
+        barred = next((folder for folder in above if not os.access(folder, os.X_OK)), path)
         return CaptureError(
             f"{barred} cannot be read: {error.strerror}; give yourself the right to read it"
         )
     if out is not None and is_full(out):
         return StorageError(f"the disk of {out} is full; make room, then continue with --resume")
     return error
-
-
-def _barred(path: Path) -> Path:
-    """The folder on the way to a path that may not be entered, else the path itself."""
-    above = (folder for folder in reversed(path.parents) if folder.is_dir())
-    return next((folder for folder in above if not os.access(folder, os.X_OK)), path)
 
 
 def refuse_nan(stage: str, metrics: Mapping[str, Any], folder: Path) -> None:

@@ -80,10 +80,7 @@ def _place(source: Path) -> str:
 def refuse_unnamed(
     paths: JobPaths, run: Mapping[str, Any], option: str, given: Path | None
 ) -> None:
-    """Refuse to go on without what a run was given from elsewhere: a stranger may have written it.
-
-    `option` is "masks" or "mesh", `given` what is named now.
-    """
+    """Refuse to go on without the "masks" or "mesh" that a run was begun with."""
     before = run["capture"].get(option)
     if before is not None and given is None:
         name = (before if option == "masks" else before["name"])[:200]

@@ -198,11 +198,9 @@ def mesh_fingerprint(mesh: Path | None) -> str:
 def capture_fingerprint(
     source: Path, masks: Path | None, out: Path, follows_links: bool = False
 ) -> str:
-    """SHA-256 of the names and contents of all files a capture may consist of, masks included.
+    """SHA-256 of the names and contents of all files of a capture and its masks.
 
-    The result folder is left out where it lies inside; links out of the capture's folder are
-    followed as `capture.outside` says. `CaptureError` if something does not exist or cannot be
-    read.
+    The result is left out; links lead on as `capture.outside` says. `CaptureError` if unreadable.
     """
     for name, path in (("capture", source), ("masks folder", masks)):
         if path is not None and not path.exists():

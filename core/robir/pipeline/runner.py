@@ -117,7 +117,8 @@ def _bring_up_to_date(
     pending = [stage for stage in STAGES if states[stage] != "done"]
     reporter = RunReporter(paths, display, pending)
     wanted = [stage for stage in pending if stage in request.stages]
-    lacks_asset = not pending and not _has_asset(request, paths)
+    asset = request.asset if request.until == STAGES[-1] else None
+    lacks_asset = not pending and asset is not None and not is_current(paths, asset)
     if run is not None and not wanted and not lacks_asset:
         remove_leftovers(paths)
         if pending:
@@ -129,12 +130,6 @@ def _bring_up_to_date(
     if run is not None and wanted and is_worth_keeping and not request.is_resume:
         folder.refuse_without_resume(paths, run, capture, request.config)
     _Run(request, paths, reporter, run, inputs).work(stages, states, expected)
-
-
-def _has_asset(request: RunRequest, paths: JobPaths) -> bool:
-    if request.asset is None or request.until != STAGES[-1]:
-        return True
-    return is_current(paths, request.asset)
 
 
 def _finish(paths: JobPaths, run: Mapping[str, Any], reporter: RunReporter, message: str) -> None:

@@ -206,10 +206,7 @@ def _register_heif(path: Path) -> None:
 
 
 def _developed(path: Path, file: BinaryIO) -> Image.Image:
-    """A RAW file at half its size, 8-bit sRGB: the camera's white balance, no automatic exposure.
-
-    No tone curve but sRGB's own is applied. Half the size takes each colour from its own pixels.
-    """
+    """A RAW file at half its size, 8-bit sRGB without a tone curve, the camera's white balance."""
     try:
         import rawpy
     except ImportError:

@@ -73,11 +73,9 @@ class StoredPhoto:
 def open_photo(
     path: Path, declared: Size | None, is_upright: bool | None = None
 ) -> Iterator[StoredPhoto]:
-    """Open a photograph, whose size may still differ from the declared one.
+    """Open a photograph, turned as EXIF says where `is_upright`; None asks the declared size.
 
-    Programs that write poses with an image size ignore the EXIF orientation, so it is applied
-    only if the pixels as stored do not have the declared size, or none is declared. `is_upright`
-    is whether the pose is for the photograph as EXIF turns it, where that is known.
+    Programs that write poses with an image size ignore EXIF: it is applied where that is another.
     """
     with header(path) as picture:
         stated = orientation(picture)
@@ -86,11 +84,7 @@ def open_photo(
 
 
 def read_mask(path: Path, size: Size, turn: int = 1, is_turned: bool | None = False) -> Bytes:
-    """Read a mask, (H, W) of its own size: alpha where it varies, else brightness; 255 is object.
-
-    Masks of zeros and ones are stretched to 0 and 255. `size` is that of its photograph, `turn` the
-    EXIF orientation that brings the mask to it where `is_turned`; None asks the sizes.
-    """
+    """A mask (H, W), 255 on the object, of its own size, turned as told or as sizes tell."""
     with opened(path) as picture:
         picture = upright(picture, orientation(picture))
         turned = upright(picture, turn)
@@ -120,10 +114,7 @@ def size_within(size: Size, max_side: int) -> Size:
 
 
 def shrink(image: Bytes, mask: Bytes, width: int, height: int) -> tuple[Bytes, Bytes]:
-    """Area average of a photograph (H, W, 3), straight display values, and its mask (H, W), uint8.
-
-    Colours are weighted by the mask, so that the background does not bleed into the object's edge.
-    """
+    """Area averages of a photograph (H, W, 3), weighted by its mask (H, W), and of that, uint8."""
     if (width, height) == (image.shape[1], image.shape[0]):
         return image, mask
     # A grain of weight keeps the picture where there is no object at all. One layer after another:

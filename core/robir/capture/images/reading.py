@@ -67,11 +67,7 @@ def read_view(
     max_side: int,
     exposure: float = 1.0,
 ) -> Reading:
-    """Read a photograph, whose pose is without fault, and its mask, for what the split says.
-
-    `given` is its mask or the mask's file, which win over the format's own and over alpha; or None.
-    Of what shows the object `max_side` pixels are kept; linear values are multiplied by `exposure`.
-    """
+    """Read a photograph, `max_side` pixels about the object, by a given mask, its own or alpha."""
     with open_photo(frame.image, frame.lens.size, frame.is_upright) as stored:
         size = stored.size
         _check_size(size, frame)

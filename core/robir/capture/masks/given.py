@@ -80,11 +80,7 @@ def from_folder(folder: Path, frames: Iterable[Frame]) -> dict[str, Path]:
 def without_ignoring(
     chosen: Sequence[tuple[Frame, Split]], drawn: Mapping[str, Path]
 ) -> tuple[list[tuple[Frame, Split]], dict[str, Path], list[Finding]]:
-    """Frames, masks, findings, without masks that say what to ignore.
-
-    Such a mask is the same for every photograph and leaves most of the border in; or it is called
-    `dynamic_mask_*` and lies beside its photograph. `drawn` ones win over the format's own.
-    """
+    """Frames, masks and findings without masks that say what to ignore: all alike, or so named."""
     masks = [drawn.get(frame.name) or frame.mask for frame, _ in chosen]
     beside = [f.image.with_name(f"{IGNORE}_{f.image.stem}.png") for f, _ in chosen]
     dynamic = [path.name for path in beside if path.is_file()]

@@ -48,11 +48,7 @@ def with_guessed_masks(
     how: tuple[CaptureConfig, Path | None, Path | None],
     progress: Progress = unheard,
 ) -> tuple[Loaded, list[Finding]]:
-    """Guess the masks of photographs that have none, and read the photographs again with them.
-
-    `how` is the settings, the folder for masks and the user's mesh, either None. Where no masks
-    could be made there is an error among the findings.
-    """
+    """Guess masks, by settings, into a folder and by a mesh, if any, and read photographs again."""
     config, folder, mesh = how
     progress(0.0, "looking for the object")
 

@@ -61,12 +61,10 @@ _SHARES = {"frames": 0.1, "copies": 0.1, "features": 0.35, "matches": 0.25, "cam
 
 
 def register(source: Path, work: Path, seed: int, progress: Progress) -> FrameSet:
-    """Posed frames of the photographs themselves, in COLMAP's frame and unit, with sparse points.
+    """Posed frames of photographs or a video, in COLMAP's frame and unit, with sparse points.
 
-    Photographs that could not be placed are named in a finding. Where none can be, the findings of
-    the refusal say what to shoot differently. `source`, photographs or a video, is never written
-    to. What a stopped call left in `work` is used if it belongs to the same files and seed; else it
-    is cleared.
+    What could not be placed is named; a refusal says what to shoot differently. What a stopped call
+    left in `work` is used if it belongs to the same files and seed; else it is cleared.
     """
     return _Registration(source, work, seed, progress).run()
 

@@ -200,11 +200,7 @@ def map_cameras(
 
 
 def refine(model: pycolmap.Reconstruction) -> pycolmap.Reconstruction:
-    """A copy of a model, all cameras and points adjusted once more, robustly, lenses centred.
-
-    A few false matches bend focal length and distortion in the mapper's squares, which the Cauchy
-    loss mends. Lenses are centred only if there are enough photographs of each.
-    """
+    """A copy of a model, adjusted once more with a Cauchy loss, lenses centred if they show it."""
     pycolmap = library()
     counts = Counter(image.camera_id for image in model.images.values() if image.has_pose)
     scale = _ROBUST_SCALE * model.compute_mean_reprojection_error()

@@ -78,6 +78,8 @@ def report_numbers(paths: JobPaths, products: Products, own: dict[str, Picture])
     files = [(by_name[name], read_picture(file)) for name, file in rendering.rerenders.items()]
     shots = [(view, exposures.as_photographed(picture, view)) for view, picture in files]
     cycles = mean_scores([photo_scores(picture, view) for view, picture in shots])
+    arrays, tiles = products.arrays, products.mesh.tiles.tolist()
+    inside = arrays["inside"] > 0
     left_open = rivals(products.tone_curve["candidates"])
     left_open |= paint(products.evidence) | shown(products.last_word)
     curve = {name: value for name, value in products.tone_curve.items() if name != "samples"}
@@ -104,9 +106,10 @@ def report_numbers(paths: JobPaths, products: Products, own: dict[str, Picture])
         "exposure": exposure_summary(products.exposure),
         "light": _light_summary(products.light),
         "mesh": {"faces": len(products.mesh.faces), "vertices": len(products.mesh.vertices)},
-        **_texture_sizes(products),
-        "seen_share": _seen_share(products.arrays),
-        "metal_share": float(products.arrays["metallic"][products.arrays["inside"] > 0].mean()),
+        "texture_size": inside.shape[0] // products.mesh.cells,  # texels along a side
+        **({"tiles": tiles} if tiles else {}),
+        "seen_share": float((arrays["coverage"][inside] > 0).mean()) if inside.any() else 0.0,
+        "metal_share": float(arrays["metallic"][inside].mean()),
         "uncertainty": _uncertainty(products.arrays),
         "warnings": run["warnings"],
         "missing": list(rendering.missing),
@@ -157,19 +160,6 @@ def _light_summary(light: RecoveredLight) -> dict[str, Any]:
         )
     suns.sort(key=lambda sun: -sun["power_share"])
     return {"lobes": len(power), "sharp": suns}
-
-
-def _texture_sizes(products: Products) -> dict[str, Any]:
-    """Texels along a side of a texture, and the numbers of the tiles where there are such."""
-    side = products.arrays["inside"].shape[0] // products.mesh.cells
-    tiles = products.mesh.tiles.tolist()
-    return {"texture_size": side} | ({"tiles": tiles} if tiles else {})
-
-
-def _seen_share(arrays: dict[str, Array]) -> float:
-    """Share of the surface's texels that at least one training view saw."""
-    inside = arrays["inside"].astype(bool)
-    return float((arrays["coverage"][inside] > 0).mean()) if inside.any() else 0.0
 
 
 def _uncertainty(arrays: dict[str, Array]) -> dict[str, Any]:
