@@ -46,9 +46,7 @@ def spoilt_views(capture, change):
 def doubted(capture, mesh, arrays, rerender=25.0, left_open=None):
     found = quality(capture, mesh, arrays, rerender, left_open or {})
     names = [
-        name
-        for name, sign in found["signs"].items()
-        if SIGNS[name].is_doubtful(sign["value"])
+        name for name, sign in found["signs"].items() if SIGNS[name].is_doubtful(sign["value"])
     ]
     assert len(found["doubts"]) == len(names)
     assert found["is_trusted"] == (not names)
