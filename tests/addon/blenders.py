@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -47,6 +48,12 @@ class Blender:
     version: str
     python: Path
     site_packages: Path
+
+
+def sessions(*names: str) -> str:
+    """Files of this folder as one text, as they cannot import each other there."""
+    texts = [(Path(__file__).parent / f"{name}.py").read_text(encoding="utf-8") for name in names]
+    return re.sub(r"(?m)^from (recording|\w+_session) import .*$", "", "\n".join(texts))
 
 
 def find_blender(series: str) -> Blender | None:

@@ -8,7 +8,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from addon.blenders import run
+from addon.blenders import run, sessions
 from capture.scene import BALL, BOX_HIGH, BOX_LOW, CENTRE, cameras, shoot
 from capture.writers import nerf_synthetic
 
@@ -18,13 +18,7 @@ pytestmark = [pytest.mark.blender, pytest.mark.slow]
 
 HERE = Path(__file__).parent
 ENGINE = [sys.executable, str(HERE / "tiny_engine.py")]
-
-
-def script() -> str:
-    """Both sessions as one text, for nothing of the checkout is importable there."""
-    first = (HERE / "capture_session.py").read_text(encoding="utf-8")
-    lines = (HERE / "delight_session.py").read_text(encoding="utf-8").splitlines()
-    return "\n".join([first, *(line for line in lines if "from capture_session" not in line)])
+SESSION = sessions("capture_session", "delight_session")
 
 
 def test_an_object_gets_a_material_beside_its_own(own_blender, extension_zip, tmp_path):
@@ -32,7 +26,7 @@ def test_an_object_gets_a_material_beside_its_own(own_blender, extension_zip, tm
     capture = nerf_synthetic(tmp_path / "captures" / "a figure", shots, tests=2)
     ball, box = [list(CENTRE), BALL], [list(CENTRE + BOX_LOW), list(CENTRE + BOX_HIGH)]
     answer = run(
-        own_blender, script(), "delight", str(extension_zip), ENGINE, str(capture), ball, box,
+        own_blender, SESSION, "delight", str(extension_zip), ENGINE, str(capture), ball, box,
         user=tmp_path / "user",
     )  # fmt: skip
     assert not answer["poll"] and answer["may"]

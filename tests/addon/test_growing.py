@@ -8,16 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from addon.blenders import run
-from addon.test_capture_operators import ENGINE, SESSION
+from addon.blenders import run, sessions
+from addon.test_capture_operators import ENGINE
 from PIL import Image
 
 pytestmark = pytest.mark.blender
 
-LINES = (Path(__file__).parent / "growing_session.py").read_text(encoding="utf-8").splitlines()
-WORDS = "\n".join([SESSION, *(line for line in LINES if "from capture_session" not in line)])
-"""Both sessions as one text, for nothing of the checkout is importable there."""
-
+WORDS = sessions("capture_session", "growing_session")
 NOTHING = {"objects": 0, "meshes": 0}
 
 BALL = trimesh.creation.icosphere(subdivisions=2, radius=120.0)

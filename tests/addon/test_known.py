@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from addon.blenders import run
+from addon.blenders import run, sessions
 from capture.scene import cameras, shoot
 from capture.writers import nerf_synthetic
 from evaluation import sphere_run
@@ -19,14 +19,8 @@ pytestmark = pytest.mark.blender
 
 HERE = Path(__file__).parent
 ENGINE = [sys.executable, str(HERE / "tiny_engine.py")]
+SESSION = sessions("capture_session", "known_session")
 SHARES = np.array([0.5, 0.3, 0.2])
-
-
-def script() -> str:
-    """Both sessions as one text, for nothing of the checkout is importable there."""
-    first = (HERE / "capture_session.py").read_text(encoding="utf-8")
-    lines = (HERE / "known_session.py").read_text(encoding="utf-8").splitlines()
-    return "\n".join([first, *(line for line in lines if "from capture_session" not in line)])
 
 
 @pytest.fixture
@@ -35,7 +29,15 @@ def session(extension_zip, tmp_path):
 
     def part(blender, name, *arguments):
         user = tmp_path / "user"
-        return run(blender, script(), name, str(extension_zip), ENGINE, *arguments, user=user)
+        return run(
+            blender,
+            sessions("capture_session", "known_session"),
+            name,
+            str(extension_zip),
+            ENGINE,
+            *arguments,
+            user=user,
+        )
 
     return part
 

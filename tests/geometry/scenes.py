@@ -19,6 +19,19 @@ from robir.geometry.lattice import Lattice
 from robir.geometry.rays import ReducedPhoto, reduce_view
 
 
+class Silent:
+    """A reporter that nobody listens to."""
+
+    def progress(self, fraction: float, message: str) -> None:
+        assert 0.0 <= fraction <= 1.0 and message
+
+    def warn(self, message: str) -> None:
+        pass
+
+    def metric(self, name: str, value: object) -> None:
+        pass
+
+
 def camera_at(azimuth: float, elevation: float, side: int, distance: float = 3.2) -> Camera:
     """Camera on a sphere that looks at the origin, z up; angles in radians."""
     back = np.array(

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Small captures rendered in Cycles by the command line, held against what is known about them."""
 
-import importlib.util
 import json
 import subprocess
 import sys
@@ -17,12 +16,7 @@ from blender_scenes.environment import LUMINANCE, map_directions
 from blender_scenes.format import ViewTruth, read_view
 from blender_scenes.view_transform import display_from_linear
 
-pytestmark = [
-    pytest.mark.blender,
-    pytest.mark.skipif(
-        importlib.util.find_spec("bpy") is None, reason="rendering needs the wheel: pip install bpy"
-    ),
-]
+pytestmark = pytest.mark.blender
 
 ROOT = Path(__file__).parents[2]
 SMALL = ("--resolution", "32", "--views", "2", "--test-views", "1", "--samples", "4")

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tiny captures of photographs, rendered: read back, the same to the bit, as the truth says."""
 
-import importlib.util
 import json
 import subprocess
 import sys
@@ -28,13 +27,7 @@ from robir.errors import CaptureError
 from robir.evaluation.aligned import align
 from robir.evaluation.truth import load_truth
 
-pytestmark = [
-    pytest.mark.blender,
-    pytest.mark.slow,
-    pytest.mark.skipif(
-        importlib.util.find_spec("bpy") is None, reason="rendering needs the wheel: pip install bpy"
-    ),
-]
+pytestmark = [pytest.mark.blender, pytest.mark.slow]
 
 ROOT = Path(__file__).parents[2]
 

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tiny captures of the population, rendered: the same to the bit, resumable, as they say."""
 
-import importlib.util
 import json
 import subprocess
 import sys
@@ -17,12 +16,7 @@ from blender_scenes.format import SECOND_LIGHT, read_view
 from blender_scenes.population.draw import Sources, draw
 from blender_scenes.wheel import data_folder
 
-pytestmark = [
-    pytest.mark.blender,
-    pytest.mark.skipif(
-        importlib.util.find_spec("bpy") is None, reason="rendering needs the wheel: pip install bpy"
-    ),
-]
+pytestmark = pytest.mark.blender
 
 ROOT = Path(__file__).parents[2]
 

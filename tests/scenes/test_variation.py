@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Variations: what they refuse, and what a render of them shows."""
 
-import importlib.util
 import json
 import subprocess
 import sys
@@ -72,14 +71,6 @@ def test_fingerprint_changes_with_every_variation() -> None:
     assert len(hashes) == len(varied)
 
 
-needs_bpy = [
-    pytest.mark.blender,
-    pytest.mark.skipif(
-        importlib.util.find_spec("bpy") is None, reason="rendering needs the wheel: pip install bpy"
-    ),
-]
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("varied")
@@ -113,7 +104,7 @@ def is_object(truth: ViewTruth) -> np.ndarray:
 
 
 class TestRendered:
-    pytestmark = needs_bpy
+    pytestmark = pytest.mark.blender
 
     def test_paint_of_the_object_changes_and_the_ground_keeps_its_own(self, folder: Path) -> None:
         before = views(folder)

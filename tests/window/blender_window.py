@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 from window.screen import HEIGHT, WIDTH, Screen
 
 TAB = "RobIR"
-STEP = 9
+STEP = 14
 """Pixels between two places where the sidebar is probed; its lowest rows are 18 high."""
 
 COLUMNS = (0.55, 0.3, 0.93, 0.85, 0.77)
@@ -77,17 +77,6 @@ class BlenderWindow:
             folder.mkdir(parents=True, exist_ok=True)
         self._process: subprocess.Popen[bytes] | None = None
         self._taken = 0
-
-    def install(self, package: Path) -> None:
-        """Install the add-on's zip through Blender's own command line, and enable it."""
-        command = ["extension", "install-file", "-r", "user_default", "-e", str(package)]
-        subprocess.run(
-            ["blender", "--command", *command],
-            env=self._environment(),
-            check=True,
-            capture_output=True,
-            timeout=120,
-        )
 
     def start(self, blend: Path | None = None) -> None:
         """Open the window and wait until it answers."""

@@ -23,9 +23,13 @@ SETTINGS = (
 """A draft cut to a third of a CPU-minute."""
 
 
-def small_engine(folder: Path) -> Path:
+AFTER_THE_SHAPE = tuple(setting for setting in SETTINGS if not setting.startswith("geometry."))
+"""The same for what comes after the shape, at whose fit somebody may look for a minute."""
+
+
+def small_engine(folder: Path, settings: tuple[str, ...] = SETTINGS) -> Path:
     """A Python that this checkout's serves as, but for reconstructions, which it makes smaller."""
-    changes = " ".join(f"--set '{setting}'" for setting in SETTINGS)
+    changes = " ".join(f"--set '{setting}'" for setting in settings)
     engine = folder / "python"
     engine.write_text(
         f"""#!/bin/sh

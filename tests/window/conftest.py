@@ -4,12 +4,15 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from window.blender_window import BlenderWindow
 from window.command import Finished, blender, reconstruct
 from window.screen import Screen
 
@@ -62,6 +65,30 @@ def home(package: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     done = blender(folder, "extension", "install-file", "-r", "user_default", "-e", package)
     assert done.returncode == 0, done.stderr
     return folder
+
+
+@contextmanager
+def opened(screen: Screen, home: Path, folder: Path, pictures: str) -> Iterator[BlenderWindow]:
+    """A window of a user of its own, who has installed the add-on."""
+    mine = shutil.copytree(home, folder / "home", symlinks=True)
+    window = BlenderWindow(screen, mine, BUILD / pictures)
+    window.start()
+    yield window
+    window.quit()
+
+
+@pytest.fixture(scope="module")
+def window(
+    request: pytest.FixtureRequest,
+    screen: Screen,
+    home: Path,
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Iterator[BlenderWindow]:
+    """Blender with the add-on installed; its engine is the Python of this checkout."""
+    pictures = f"pictures-{request.path.stem.removeprefix('test_')}"
+    with opened(screen, home, tmp_path_factory.mktemp("user"), pictures) as window:
+        window.choose_engine()
+        yield window
 
 
 @pytest.fixture(scope="session")

@@ -8,15 +8,12 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from PIL import Image
 from window.blender_window import BlenderWindow
 from window.command import Finished
-from window.conftest import BUILD
-from window.screen import Screen
 from window.test_what_is_kept import SEEN_FACES
 
 pytestmark = pytest.mark.slow
@@ -41,19 +38,6 @@ region = next(r for r in area.regions if r.type == "HEADER")
 answer = [region.x, window.height - region.y - region.height // 2, region.width]
 """
 MIDDLE = HEADER.replace('"HEADER"', '"WINDOW"').replace("[region.x,", "[region.x + 100,")
-
-
-@pytest.fixture(scope="module")
-def window(
-    screen: Screen, package: Path, tmp_path_factory: pytest.TempPathFactory
-) -> Iterator[BlenderWindow]:
-    """Blender with the add-on installed; its engine is the Python of this checkout."""
-    window = BlenderWindow(screen, tmp_path_factory.mktemp("home"), BUILD / "pictures-hand")
-    window.install(package)
-    window.start()
-    window.choose_engine()
-    yield window
-    window.quit()
 
 
 @pytest.fixture(scope="module")

@@ -4,13 +4,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from window.blender_window import BlenderWindow
-from window.conftest import BUILD
-from window.screen import Screen
 
 pytestmark = pytest.mark.slow
 
@@ -18,20 +15,12 @@ STATE = "bpy.context.window_manager.robir"
 SETTINGS = "bpy.context.scene.robir"
 
 
-@pytest.fixture(scope="module")
-def window(
-    screen: Screen, package: Path, tmp_path_factory: pytest.TempPathFactory
-) -> Iterator[BlenderWindow]:
-    """Blender with the add-on installed; its engine is the Python of this checkout."""
-    window = BlenderWindow(screen, tmp_path_factory.mktemp("home"), BUILD / "pictures")
-    window.install(package)
-    window.start()
-    window.choose_engine()
+@pytest.fixture(scope="module", autouse=True)
+def _rests_on_the_view(window: BlenderWindow) -> None:
+    """A search belongs to the editor that the mouse rests on."""
     place = window.view_centre()
-    screen.move(place.x, place.y)  # a search belongs to the editor that the mouse rests on
+    window.screen.move(place.x, place.y)
     time.sleep(0.4)
-    yield window
-    window.quit()
 
 
 OPEN = """

@@ -19,7 +19,7 @@ import pytest
 from PIL import Image
 from window.blender_window import PATIENCE, BlenderWindow
 from window.command import small_engine
-from window.conftest import BUILD, ROOT
+from window.conftest import BUILD, ROOT, opened
 from window.screen import Screen
 
 pytestmark = pytest.mark.slow
@@ -106,16 +106,13 @@ of the engine stay English.
 
 @pytest.fixture(scope="module")
 def window(
-    screen: Screen, package: Path, tmp_path_factory: pytest.TempPathFactory
+    screen: Screen, home: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[BlenderWindow]:
     """Blender with the add-on installed; its engine is of this checkout."""
-    home = tmp_path_factory.mktemp("home")
-    window = BlenderWindow(screen, home, BUILD / "pictures-tutorial")
-    window.install(package)
-    window.start()
-    window.choose_engine(Path(sys.executable) if IS_FOR_DOCS else small_engine(home))
-    yield window
-    window.quit()
+    folder = tmp_path_factory.mktemp("user")
+    with opened(screen, home, folder, "pictures-tutorial") as window:
+        window.choose_engine(Path(sys.executable) if IS_FOR_DOCS else small_engine(folder))
+        yield window
 
 
 def shade(window: BlenderWindow, kind: str) -> None:

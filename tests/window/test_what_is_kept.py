@@ -8,14 +8,11 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from window.blender_window import BlenderWindow
 from window.command import Finished
-from window.conftest import BUILD
-from window.screen import Screen
 from window.sight import check_in_view
 
 pytestmark = pytest.mark.slow
@@ -54,19 +51,6 @@ answer = [
 ]
 """
 """Two faces of a thing that are seen: their pixels on the screen, and their points."""
-
-
-@pytest.fixture(scope="module")
-def window(
-    screen: Screen, package: Path, tmp_path_factory: pytest.TempPathFactory
-) -> Iterator[BlenderWindow]:
-    """Blender with the add-on installed; its engine is the Python of this checkout."""
-    window = BlenderWindow(screen, tmp_path_factory.mktemp("home"), BUILD / "pictures-kept")
-    window.install(package)
-    window.start()
-    window.choose_engine()
-    yield window
-    window.quit()
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 import trimesh
-from geometry.scenes import capture_of
+from geometry.scenes import Silent, capture_of
 
 from robir.capture.capture import Bounds
 from robir.capture.store import save_capture
@@ -28,17 +28,6 @@ CONFIG = GeometryConfig(
 
 CENTRE, RADIUS = np.array([300.0, -70.0, 20.0]), 240.0
 """A capture in millimetres."""
-
-
-class Silent:
-    def progress(self, fraction, message):
-        pass
-
-    def warn(self, message):
-        pass
-
-    def metric(self, name, value):
-        pass
 
 
 def in_millimetres(capture):

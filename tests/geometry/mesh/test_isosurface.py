@@ -23,23 +23,7 @@ from robir.geometry.mesh.simplify import decimate
 from robir.geometry.rays import ReducedPhoto, reduce_view
 from robir.geometry.stage import reconstruct
 from robir.maths.volume import log_survival_between, weights
-from tests.geometry.scenes import ball, capture_of, disc
-
-
-class Silent:
-    """A reporter that keeps warnings."""
-
-    def __init__(self) -> None:
-        self.warnings: list[str] = []
-
-    def progress(self, fraction: float, message: str) -> None:
-        assert 0.0 <= fraction <= 1.0 and message
-
-    def warn(self, message: str) -> None:
-        self.warnings.append(message)
-
-    def metric(self, name: str, value: object) -> None:
-        del name, value
+from tests.geometry.scenes import Silent, ball, capture_of, disc
 
 
 def sphere_lattice(radius: float = 0.5, cells: int = 48) -> tuple[Lattice, torch.Tensor]:
