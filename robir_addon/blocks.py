@@ -33,16 +33,7 @@ def are_there(file: Path) -> bool:
 
 
 def load_image(file: Path, space: str, mark: str) -> bpy.types.Image:
-    """An image of its own, even where the user has loaded the same file.
-
-    Args:
-        file: Image file; one whose name has <UDIM> for the tile's number becomes one tiled image.
-        space: Name of its colour space.
-        mark: Result folder it belongs to.
-
-    Raises:
-        ResultError: If it is missing or damaged.
-    """
+    """An image of its own, even where the user has loaded the same file; <UDIM> means tiles."""
     try:
         image = bpy.data.images.load(str((files_of(file) or [file])[0]), check_existing=False)
     except RuntimeError as fault:
@@ -60,11 +51,7 @@ def load_image(file: Path, space: str, mark: str) -> bpy.types.Image:
 
 
 def reload_image(image: bpy.types.Image) -> None:
-    """Read the pixels of a loaded image anew; who uses it goes on using it.
-
-    Raises:
-        ResultError: If its file is missing or damaged.
-    """
+    """Read the pixels of a loaded image anew; who uses it goes on using it."""
     file, was_packed = Path(bpy.path.abspath(image.filepath)), image.packed_file is not None
     if not are_there(file):
         raise ResultError(_UNREADABLE, file=file)
@@ -89,3 +76,11 @@ def enable_nodes(block: bpy.types.Material | bpy.types.World) -> None:
     """Give a material or a World its nodes."""
     if bpy.app.version < (5, 0, 0):  # later versions always have nodes and warn about the flag
         block.use_nodes = True
+
+
+def select_alone(layer: bpy.types.ViewLayer, chosen: bpy.types.Object) -> None:
+    """Make an object the active one, and the only one that is selected."""
+    for other in list(layer.objects.selected):
+        other.select_set(False)
+    chosen.select_set(True)
+    layer.objects.active = chosen

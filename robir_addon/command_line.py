@@ -40,14 +40,7 @@ def worker_environment() -> dict[str, str]:
 
 
 def reconstruct(arguments: list[str]) -> int:
-    """Run a whole reconstruction; progress and the result's path appear as the engine says them.
-
-    Args:
-        arguments: Words after `--command robir`.
-
-    Returns:
-        The exit code of the engine, or 4 if there is no engine.
-    """
+    """Run a whole reconstruction; progress and the result's path appear as the engine says them."""
     parser = argparse.ArgumentParser(
         prog="blender -b --command robir",
         usage="%(prog)s CAPTURE -o OUT [--engine PYTHON] [OPTION ...]",

@@ -15,12 +15,7 @@ class AddonError(Exception):
     exit_code = 1
 
     def __init__(self, text: str, /, **values: object) -> None:
-        """Say it in English.
-
-        Args:
-            text: The message; fields in braces are filled with values.
-            **values: By the fields' names.
-        """
+        """Say it in English."""
         self.sentences = (Sentence(text, **values),)
         super().__init__(*self.sentences)
 

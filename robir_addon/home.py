@@ -12,11 +12,7 @@ CODE = Path(__file__).parent
 
 
 def own_folder(*, create: bool) -> Path | None:
-    """Where what updates leave alone lies; None where RobIR runs from a checkout.
-
-    Args:
-        create: Whether it is made if it is missing.
-    """
+    """Where what updates leave alone lies; None where RobIR runs from a checkout."""
     try:
         return Path(bpy.utils.extension_path_user(ADDON, create=create))
     except ValueError:

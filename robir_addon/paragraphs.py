@@ -26,18 +26,7 @@ def paragraph(
     *,
     is_boxed: bool = False,
 ) -> bpy.types.UILayout:
-    """Draw a sentence as labels, one a line, the icon before the first.
-
-    Args:
-        layout: Where to draw.
-        context: Its region says how wide the panel is.
-        text: May hold line breaks.
-        icon: Name of an icon; the other lines are indented by its width.
-        is_boxed: Whether it is drawn inside a box, whose border takes room.
-
-    Returns:
-        The column of the lines, for example to dim it.
-    """
+    """Draw a sentence as labels, one a line, the icon before the first; their column."""
     system = context.preferences.system
     scale = system.ui_scale or 1.0  # zero without a window
     points = context.preferences.ui_styles[0].widget.points
@@ -56,16 +45,7 @@ def paragraph(
 
 @lru_cache(maxsize=512)
 def break_lines(text: str, room: int, points: float) -> tuple[str, ...]:
-    """Lines of a text that are no wider than there is room.
-
-    Args:
-        text: Sentences; line breaks are kept.
-        room: Width of a line, points.
-        points: Size of the font, points.
-
-    Returns:
-        The lines; a word that is too wide, such as a path, is broken within.
-    """
+    """Lines of a text no wider than `room`, points; a wider word, as a path, is broken within."""
     blf.size(0, points)
     lines = []
     for given in text.splitlines():

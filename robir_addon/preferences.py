@@ -75,7 +75,6 @@ class ROBIR_AP_preferences(bpy.types.AddonPreferences):
     )
 
     def draw(self, context: bpy.types.Context) -> None:
-        """The choice, the engine's state, and what can be done about it."""
         layout = self.layout
         layout.use_property_split = True
         layout.prop(self, "engine", expand=True)
@@ -134,11 +133,7 @@ def preferences_of(context: bpy.types.Context) -> Any:
 
 
 def managed_place() -> Place:
-    """Where the managed engine is or would be; nothing is made.
-
-    Raises:
-        EngineError: If this is a checkout: only an installed extension has a folder of its own.
-    """
+    """Where the managed engine is or would be; nothing is made."""
     home = own_folder(create=False)
     if home is None:
         raise EngineError(
@@ -149,11 +144,7 @@ def managed_place() -> Place:
 
 
 def managed_wheel() -> Path:
-    """The wheel that the managed engine is made from.
-
-    Raises:
-        EngineError: If this is a checkout, which brings none.
-    """
+    """The wheel that the managed engine is made from."""
     wheel = engine.bundled_wheel()
     if wheel is None:
         raise EngineError(
@@ -185,11 +176,7 @@ def shown_engine_status(context: bpy.types.Context) -> Status:
 
 
 def engine_python(context: bpy.types.Context) -> Path:
-    """The interpreter to start a worker with.
-
-    Raises:
-        EngineError: If the chosen engine cannot be used; says why and what to do.
-    """
+    """The interpreter to start a worker with."""
     status = engine_status(context)
     if status.python is None:
         raise EngineError(status.text, status.cure)
@@ -203,6 +190,3 @@ def _existing_python(chosen: ROBIR_AP_preferences) -> Path:
     if not chosen.python:
         raise EngineError("No existing environment is chosen", _CHOOSE)
     return engine.interpreter(Path(bpy.path.abspath(chosen.python)))
-
-
-CLASSES = (ROBIR_AP_preferences,)

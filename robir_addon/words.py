@@ -22,12 +22,7 @@ _LINE = re.compile(r'(?:(msgctxt|msgid|msgstr)\s+)?(".*")')
 
 
 def words(text: str, /, **values: object) -> str:
-    """A text that is drawn, in the language of the interface.
-
-    Args:
-        text: English, with fields in braces.
-        **values: What the fields are filled with; a `Sentence` is translated as well.
-    """
+    """A text that is drawn, in the language of the interface."""
     return _filled(bpy.app.translations.pgettext_iface(text), values)
 
 

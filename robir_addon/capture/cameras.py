@@ -59,13 +59,7 @@ def add_camera(view: dict[str, Any], folder: Path, centre: list[float]) -> bpy.t
 
 
 def use_camera(scene: bpy.types.Scene, camera: bpy.types.Object, max_side: int = 0) -> None:
-    """Make a capture camera the scene's, with its picture size.
-
-    Args:
-        scene: Scene to render.
-        camera: One that `add_camera` made.
-        max_side: Longer side to reduce the picture to, pixels; 0 keeps the photograph's size.
-    """
+    """Make a capture camera the scene's, with its picture size; its side at most so long, or 0."""
     width, height = camera[_SIZE]
     shrink = min(1.0, max_side / max(width, height)) if max_side else 1.0
     scene.camera = camera
@@ -82,12 +76,6 @@ def use_close_up(
     """Make the scene's a camera that stands where a capture camera does, and sees points large.
 
     Where some lie behind it, it sees what the capture camera sees.
-
-    Args:
-        scene: Scene to render.
-        camera: One that `add_camera` made; it stays as it is.
-        points: (N, 3) of what is to fill the square picture, world.
-        side: Its side, pixels.
     """
     inverse = np.array(camera.matrix_world.inverted())
     seen = points @ inverse[:3, :3].T + inverse[:3, 3]

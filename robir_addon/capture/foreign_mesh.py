@@ -45,21 +45,7 @@ _SOLID = ("MESH", "CURVE", "SURFACE", "FONT", "META")
 def convert_apart(
     file: Path, out: Path, most_bytes: int = MOST_BYTES, most_seconds: float = MOST_SECONDS
 ) -> tuple[str, ...]:
-    """Do as `convert` in a Blender of its own, which may die; arguments as there.
-
-    Args:
-        file: Of one of `SUFFIXES`.
-        out: File to write, of the suffix .glb; it must not exist.
-        most_bytes: Memory that it may take, where the system can bound it.
-        most_seconds: Time that it may take.
-
-    Returns:
-        Sentences for the user.
-
-    Raises:
-        RequestError: As `convert`, and if the file ends Blender or takes too much.
-        ResultError: If the GLB cannot be written.
-    """
+    """Do as `convert` in a Blender of its own, which may die; RequestError if it takes too much."""
     _check(file, out)
     out.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=".robir-mesh-", dir=out.parent) as folder:
@@ -133,17 +119,6 @@ def convert(file: Path, out: Path) -> tuple[str, ...]:
     Each object keeps its name, texture coordinates and materials, and stands at its place without
     a transform; modifiers are applied, at the first frame of what moves. Cameras, lights and
     skeletons are left out.
-
-    Args:
-        file: Of one of `SUFFIXES`.
-        out: File to write, of the suffix .glb; it must not exist.
-
-    Returns:
-        Sentences for the user.
-
-    Raises:
-        RequestError: If a path makes no sense, the file cannot be read or shows no faces.
-        ResultError: If the GLB cannot be written.
     """
     _check(file, out)
     bpy.ops.wm.read_factory_settings(use_empty=True)

@@ -14,13 +14,7 @@ _ROOM = 1.15
 
 
 def frame(scene: bpy.types.Scene, centre: Sequence[float], radius: float) -> None:
-    """Make the viewports of a scene look at a sphere.
-
-    Args:
-        scene: Whose viewports.
-        centre: Of the sphere, world.
-        radius: Of the sphere.
-    """
+    """Make the viewports of a scene look at a sphere, world."""
     for window in bpy.context.window_manager.windows:
         for area in window.screen.areas if window.scene == scene else ():
             if area.type == "VIEW_3D":

@@ -58,12 +58,7 @@ def read_surface(file: Path) -> Surface | None:
 
 
 def show_surface(scene: bpy.types.Scene, surface: Surface) -> None:
-    """Show a surface instead of the one before, placed as the capture is; no capture, no surface.
-
-    Args:
-        scene: Whose capture it is of.
-        surface: As `read_surface` returned it.
-    """
+    """Show a surface instead of the one before, placed as the capture is, if there is one."""
     collection = next((c for c in scene.collection.children_recursive if MARK in c), None)
     if collection is None:
         return
@@ -104,11 +99,7 @@ def _new_object(collection: bpy.types.Collection) -> bpy.types.Object:
 
 
 def _array(archive: zipfile.ZipFile, name: str, kind: bytes) -> np.ndarray:
-    """An array (N, 3) of a file that numpy wrote uncompressed, so that nothing can swell.
-
-    Raises:
-        ValueError: If it is anything else.
-    """
+    """An array (N, 3) of a file that numpy wrote uncompressed, so that nothing can swell."""
     if archive.getinfo(name).compress_type != zipfile.ZIP_STORED:
         raise ValueError("it is compressed")
     content = archive.read(name)

@@ -49,13 +49,7 @@ def draw_photographs(layout: bpy.types.UILayout, settings: Any) -> None:
 
 
 def list_photographs(settings: Any, names: Iterable[str], findings: list[dict[str, Any]]) -> None:
-    """Fill the list anew; photographs that were left out stay in it, left out.
-
-    Args:
-        settings: The scene's.
-        names: Photographs that the check has read.
-        findings: What it noticed; those about photographs name them.
-    """
+    """Fill the list anew; photographs that were left out stay in it, left out."""
     photographs = settings.photographs
     left_out = [p.name for p in photographs if not p.is_used]
     noticed = {name: f["code"].replace("-", " ") for f in findings for name in f["files"]}
@@ -69,6 +63,3 @@ def list_photographs(settings: Any, names: Iterable[str], findings: list[dict[st
 def left_out_of(settings: Any) -> tuple[str, ...]:
     """Names of the photographs that the user has left out."""
     return tuple(p.name for p in settings.photographs if not p.is_used)
-
-
-CLASSES = (ROBIR_UL_photographs,)

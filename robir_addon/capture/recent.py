@@ -18,12 +18,7 @@ _known: list[tuple[str, str]] = []
 
 
 def remember(capture: Path, out: str) -> None:
-    """Put a capture at the head of the list.
-
-    Args:
-        capture: Absolute.
-        out: Result folder that was chosen for it; empty for the one beside it.
-    """
+    """Put a capture at the head of the list; an empty `out` means beside it."""
     entry = (str(capture), out)
     _known[:] = [entry, *(known for known in _known if known[0] != entry[0])][:_MOST]
     folder = own_folder(create=True)

@@ -15,11 +15,7 @@ _LIGHT_WATTS = 1000.0
 
 
 def put_aside(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> list[str]:
-    """Hide the untouched Cube and Light of Blender's startup file.
-
-    Returns:
-        Names of what was hidden now.
-    """
+    """Hide the untouched Cube and Light of Blender's startup file; their names."""
     names = []
     for obj in scene.objects:
         if obj.name not in view_layer.objects or not (_is_cube(obj) or _is_light(obj)):

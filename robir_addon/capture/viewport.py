@@ -35,15 +35,7 @@ _MOST_REACH = 12.0
 
 
 def show_capture(scene: bpy.types.Scene, facts: dict[str, Any]) -> Iterator[None]:
-    """Show a capture instead of the one that was shown before.
-
-    Args:
-        scene: Where to.
-        facts: What `robir check --json` said of a capture whose cameras it knows.
-
-    Returns:
-        What is left to do, a photograph a step: the small copies in front of the cameras.
-    """
+    """Show what `robir check --json` said of a capture; yields while small copies are left."""
     clear_capture()
     put_aside(scene, scene.view_layers[0])
     facts = _placed_to_view(scene.robir, facts)

@@ -17,13 +17,7 @@ class EngineError(Exception):
     exit_code = 4
 
     def __init__(self, message: str, cure: str, /, **values: object) -> None:
-        """Join both to the text of the exception.
-
-        Args:
-            message: What is wrong; fields in braces are filled with values.
-            cure: What to do; likewise.
-            **values: By the fields' names.
-        """
+        """Join both to the text of the exception."""
         self.message, self.cure = Sentence(message, **values), Sentence(cure, **values)
         self.sentences = (self.message, self.cure)
         super().__init__(f"{self.message}; {self.cure}")

@@ -37,14 +37,7 @@ print(json.dumps(facts))
 
 @dataclass(frozen=True)
 class Facts:
-    """What a Python has.
-
-    Attributes:
-        python: Its version, such as "3.11.7".
-        robir: Version of the core.
-        torch: Version of torch.
-        numpy: Version of numpy.
-    """
+    """Versions of what a Python has."""
 
     python: str
     robir: str
@@ -53,11 +46,7 @@ class Facts:
 
 
 def interpreter(given: Path) -> Path:
-    """The interpreter that a path means: itself, or that of an environment's folder.
-
-    Raises:
-        EngineError: If there is none.
-    """
+    """The interpreter that a path means: itself, or that of an environment's folder."""
     found = python_in(given) if given.is_dir() else given
     if found.is_file():
         return found
@@ -71,15 +60,7 @@ def interpreter(given: Path) -> Path:
 
 
 def inspect(python: Path, version: str) -> Facts:
-    """Run a Python and see that it has what the engine needs.
-
-    Args:
-        python: Interpreter.
-        version: The one version of robir that fits this add-on.
-
-    Raises:
-        EngineError: If it does not run or lacks something; the cure names the command.
-    """
+    """Run a Python and see that it has what the engine needs."""
     facts = _probe(python)
     release = ".".join(map(str, facts["python"]))
     if tuple(facts["python"]) < OLDEST:

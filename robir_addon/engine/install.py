@@ -67,12 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def install(options: argparse.Namespace, progress: Progress) -> Record:
-    """Bring the engine to the state the options ask for.
-
-    Raises:
-        EngineError: With the reason and the cure.
-        KeyboardInterrupt: If it was cancelled.
-    """
+    """Bring the engine to the state the options ask for."""
     place = Place(options.root)
     if options.torch == "CUDA" and sys.platform == "darwin":
         raise EngineError("macOS has no CUDA", "choose CPU in the add-on's preferences")

@@ -26,11 +26,7 @@ else:
 
 @contextmanager
 def engine_lock(path: Path) -> Iterator[None]:
-    """Hold the lock file for the length of the block; the file stays.
-
-    Raises:
-        EngineError: If another process holds it.
-    """
+    """Hold the lock file for the length of the block; the file stays."""
     handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
     try:
         try:

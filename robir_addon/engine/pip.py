@@ -78,12 +78,7 @@ class Pip:
     """pip of one environment, with what its version can do."""
 
     def __init__(self, place: Place, wheels: Path | None) -> None:
-        """Nothing is run yet.
-
-        Args:
-            place: The engine; its environment has pip.
-            wheels: Folder that all packages come from; None takes them from the network.
-        """
+        """Nothing is run yet."""
         self._place = place
         self._wheels = wheels
 
@@ -105,17 +100,7 @@ class Pip:
     def install(
         self, words: Sequence[str], expected_bytes: int, progress: Progress, name: str
     ) -> None:
-        """Install packages; what is there already is left alone.
-
-        Args:
-            words: Requirements and options.
-            expected_bytes: About how much is downloaded; only for the progress.
-            progress: Told the share that is done and what is being done.
-            name: What is installed, for messages.
-
-        Raises:
-            EngineError: With the reason and the cure.
-        """
+        """Install packages; what is there already is left alone."""
         options = ["--only-binary", ":all:", "--no-input", "--no-color", "--progress-bar"]
         options += ["raw" if self._version >= _RAW_PROGRESS else "off"]
         options += ["--cache-dir", str(self._place.cache)]

@@ -130,16 +130,7 @@ def clean_environment(environment: Mapping[str, str] = os.environ) -> dict[str, 
 
 
 def worker_command(*words: str, module: str = "install", python: Path | None = None) -> list[str]:
-    """Command that runs a module of this package apart from Blender.
-
-    Args:
-        *words: Given to the module.
-        module: Its name.
-        python: Interpreter; None takes Blender's own.
-
-    Raises:
-        EngineError: If this Blender has no Python to run.
-    """
+    """Command that runs a module of this package apart from Blender."""
     if python is None:
         python = _own_python()
     if python is None:

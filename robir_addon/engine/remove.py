@@ -46,18 +46,7 @@ def _unheard(_share: float, _message: str) -> None:
 
 
 def remove(place: Place, progress: Progress = _unheard) -> tuple[Path, ...]:
-    """Remove the engine; files that are not RobIR's stay, and their folder with them.
-
-    Args:
-        place: The engine.
-        progress: Told the share that is done and what is being done.
-
-    Returns:
-        What was left because it is not ours.
-
-    Raises:
-        EngineError: If the folder has not our mark, is a link, or a file is in use.
-    """
+    """Remove the engine; files that are not RobIR's stay, and their folder with them."""
     if place.root.is_symlink() or not place.marker.is_file():
         raise EngineError(
             f"{place.root} has no mark of RobIR and was not touched",

@@ -22,17 +22,7 @@ GO_ON = "press Install Engine again; it goes on where it stopped"
 
 @dataclass(frozen=True)
 class Record:
-    """What an engine consists of; the content of engine.json.
-
-    Attributes:
-        robir: Version of the core, which is that of the add-on that made the engine.
-        wheel_sha256: Hash of the wheel it was installed from.
-        torch_build: What torch was asked to compute with.
-        torch: Version of torch.
-        numpy: Version of numpy.
-        python: Version of Python.
-        size: Bytes that it takes on the disk; 0 where an older add-on did not note it.
-    """
+    """What an engine consists of, and its size in bytes (0: not noted); content of engine.json."""
 
     robir: str
     wheel_sha256: str
@@ -45,14 +35,7 @@ class Record:
 
 @dataclass(frozen=True)
 class Status:
-    """State of an engine in words.
-
-    Attributes:
-        state: What it can be used for: only "ready" runs.
-        text: One sentence without a full stop.
-        cure: What to do; empty when ready.
-        python: The interpreter when ready.
-    """
+    """State of an engine in words; it has an interpreter, and no cure, where it is ready."""
 
     state: State
     text: str
@@ -61,13 +44,7 @@ class Status:
 
 
 def status(place: Place, wheel: Path, build: Build) -> Status:
-    """State of the managed engine.
-
-    Args:
-        place: Where it is or would be.
-        wheel: The wheel that the add-on brings.
-        build: What torch shall compute with.
-    """
+    """State of the managed engine."""
     if not place.marker.is_file():
         return Status("missing", "No engine is installed", INSTALL)
     record = read_record(place)

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the user can do: one module per part of the panel, each with its operators in `CLASSES`."""
+"""What the user can do: one module per part of the panel."""

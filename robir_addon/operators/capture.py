@@ -7,6 +7,7 @@ from typing import Any
 import bpy
 from bpy.props import BoolProperty, StringProperty
 
+from ..blocks import select_alone
 from ..capture import viewport
 from ..capture.photographs import list_photographs
 from ..capture.recent import result_of
@@ -15,10 +16,10 @@ from ..engine import EngineError
 from ..errors import AddonError
 from ..gateway import client
 from ..preferences import engine_python
-from ..words import reported, told
+from ..words import told
 from ..work import monitor
 from ..work.worker import absolute, in_panel_words, program, request_of, result_folder
-from .shared import refused
+from .shared import Operator, WaitingOperator, at_rest, has_capture, is_engine_coming, may_choose
 
 _FORMATS = {
     "nerf-synthetic": "NeRF-synthetic",
@@ -37,7 +38,7 @@ _KNOWN = ("spot_texel", "spot_albedo", "spot_result", "spot_shape", "sun", "tone
 _PLACE = ("view_scale", "view_shift")
 """Settings that say how the capture was brought into view."""
 
-_faulty: set[Path] = set()
+_faulty: set[Path | None] = set()
 """Captures that the last look at them refused."""
 
 
@@ -49,9 +50,9 @@ def is_refused(capture: Path | None) -> bool:
 class _Look:
     """One look at a capture: what the engine says of it becomes the panel's and the viewport's."""
 
-    def __init__(self, scene: bpy.types.Scene, capture: Path) -> None:
+    def __init__(self, scene: bpy.types.Scene) -> None:
         self._scene = scene.name
-        self._capture = capture
+        self._capture = absolute(scene.robir.capture)
         self._facts: dict[str, Any] | None = None
         self.problem = ""
 
@@ -153,13 +154,11 @@ def _recognised(facts: dict[str, Any]) -> str:
     return told("{count} photographs, {name}", name=name, count=count)
 
 
-class ROBIR_OT_choose_capture(bpy.types.Operator):
-    """Folder of photographs with their cameras."""
+class ROBIR_OT_choose_capture(WaitingOperator, bpy.types.Operator):
+    """Choose the folder that holds the photographs and their cameras."""
 
-    bl_idname = "robir.choose_capture"
     bl_label = "Choose Capture"
-    bl_description = "Choose the folder that holds the photographs and their cameras"
-    bl_options = {"REGISTER", "UNDO"}
+    needs = (may_choose,)
 
     directory: StringProperty(
         name="Capture",
@@ -169,39 +168,27 @@ class ROBIR_OT_choose_capture(bpy.types.Operator):
     )
     filter_folder: BoolProperty(default=True, options={"HIDDEN"})
 
-    _way = "EXEC_DEFAULT"
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Not while something is at work but the engine's installation."""
-        return may_choose(cls, context)
-
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Ask for the folder, beginning with the one that is chosen; a button may name one."""
-        self._way = "INVOKE_DEFAULT"
         if self.directory:
-            return self.execute(context)
+            return super().invoke(context, event)
         self.directory = context.scene.robir.capture
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        """Take the folder and look at it."""
+    def begin(self, context: bpy.types.Context, way: str) -> set[str]:
         capture = absolute(self.directory)
         if capture is None or not capture.exists():
             text = "There is no folder {name!r}; choose another"
             self.report({"ERROR"}, told(text, name=self.directory))
             return {"CANCELLED"}
-        return take_capture(self, context, capture, self._way)
+        return take_capture(context, capture, way)
 
 
-class ROBIR_OT_look_at_capture(bpy.types.Operator):
-    """What the capture is, what is wrong with it, and where its cameras stand."""
+class ROBIR_OT_look_at_capture(Operator, bpy.types.Operator):
+    """Recognise the capture, check it, and show its cameras in the viewport."""
 
-    bl_idname = "robir.look_at_capture"
     bl_label = "Look at Capture"
-    bl_description = "Recognise the capture, check it, and show its cameras in the viewport"
-    bl_options = {"REGISTER", "UNDO"}
+    needs = (has_capture, at_rest)
 
     is_chosen: BoolProperty(
         name="Just chosen",
@@ -209,133 +196,71 @@ class ROBIR_OT_look_at_capture(bpy.types.Operator):
         options={"HIDDEN", "SKIP_SAVE"},
     )
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Once a capture is chosen, while nothing is at work."""
-        return has_capture(cls, context) and may_begin(cls, context)
-
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Begin to look and return; what was seen appears by itself."""
-        look, command = self._begin(context)
-        if look is None:
-            return {"CANCELLED"}
+        look = _Look(context.scene)
         end = look.end_chosen if self.is_chosen else look.end_clicked
-        return self._run(context, monitor.run_task, command, look, end)
+        return self._look(context, monitor.run_task, look, end)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Look, and return when that is done."""
-        look, command = self._begin(context)
-        if look is None:
-            return {"CANCELLED"}
-        answer = self._run(context, monitor.wait_task, command, look, look.end)
+        look = _Look(context.scene)
+        answer = self._look(context, monitor.wait_task, look, look.end)
         if look.problem:
             self.report({"ERROR"}, look.problem)
             return {"CANCELLED"}
         return answer
 
-    def _begin(self, context: bpy.types.Context) -> tuple[_Look | None, list[str]]:
-        """The look and the engine's command; no look where there is no engine."""
-        settings = context.scene.robir
-        try:
-            words = program(engine_python(context))
-        except EngineError as error:
-            monitor.show_problem(told(error))
-            refused(self, context, told(error))
-            return None, []
-        request = request_of(settings)
-        command = [*words, "check", str(request.capture), "--json"]
+    def _look(self, context: bpy.types.Context, run: Any, look: _Look, end: Any) -> set[str]:
+        request = request_of(context.scene.robir)
+        words = ["check", str(request.capture), "--json", *request.choice_words()]
         if request.masks is not None:
-            command += ["--masks", str(request.masks)]
-        return _Look(context.scene, request.capture), [*command, *request.choice_words()]
-
-    def _run(
-        self, context: bpy.types.Context, run: Any, command: list[str], look: _Look, end: Any
-    ) -> set[str]:
+            words += ["--masks", str(request.masks)]
         try:
-            run("look", command, look.take, end)
-        except AddonError as error:
-            monitor.show_problem(told(error))
-            refused(self, context, told(error))
-            return {"CANCELLED"}
+            run("look", [*program(engine_python(context)), *words], look.take, end)
+        except (AddonError, EngineError) as error:
+            return self.refuse(context, told(error))
         if monitor.is_busy():
             context.window_manager.robir.message = told("Reading the photographs")
         return {"FINISHED"}
 
 
-class ROBIR_OT_add_box(bpy.types.Operator):
-    """A box about the object, for captures without masks."""
+class ROBIR_OT_add_box(Operator, bpy.types.Operator):
+    """Add a box to move and scale about the object, which tells it from its surroundings where the
+    capture has no masks; then look at the capture again.
+    """
 
-    bl_idname = "robir.add_box"
     bl_label = "Add Object Box"
-    bl_description = (
-        "Add a box to move and scale about the object, which tells it from its surroundings where "
-        "the capture has no masks; then look at the capture again"
-    )
-    bl_options = {"REGISTER", "UNDO"}
+    needs = (has_capture,)
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Once a capture is chosen."""
-        return has_capture(cls, context)
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        """Add it and select it alone, ready to be moved."""
+    def work(self, context: bpy.types.Context) -> None:
         box = viewport.add_box(context.scene)
         context.scene.robir.box = box
-        for other in context.selected_objects:
-            other.select_set(False)
-        box.select_set(True)
-        context.view_layer.objects.active = box
-        return {"FINISHED"}
+        select_alone(context.view_layer, box)
 
 
-class ROBIR_OT_clear_capture(bpy.types.Operator):
-    """No capture any more."""
+class ROBIR_OT_clear_capture(Operator, bpy.types.Operator):
+    """Take the capture's cameras and photographs out of the scene; no file is lost."""
 
-    bl_idname = "robir.clear_capture"
     bl_label = "Clear Capture"
-    bl_description = "Take the capture's cameras and photographs out of the scene; no file is lost"
-    bl_options = {"REGISTER", "UNDO"}
+    needs = (at_rest,)
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """While nothing is at work."""
-        return may_begin(cls, context)
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        """Forget it, and remove all that was shown of it."""
+    def work(self, context: bpy.types.Context) -> None:
         viewport.clear_capture()
         if not context.scene.robir.result:
             bring_back(context.scene, context.view_layer)
         _forget(context.window_manager.robir)
-        monitor.show_problem("")
         _forget_choices(context.scene.robir)
         context.scene.robir.capture = ""
-        return {"FINISHED"}
 
 
-def take_capture(
-    operator: bpy.types.Operator, context: bpy.types.Context, capture: Path, way: str
-) -> set[str]:
-    """Make a folder the scene's capture and look at it; what an operator then returns.
-
-    Args:
-        operator: Reports why the capture cannot be looked at.
-        context: Of the operator.
-        capture: Absolute.
-        way: INVOKE_DEFAULT looks without making the user wait, EXEC_DEFAULT waits.
-    """
+def take_capture(context: bpy.types.Context, capture: Path, way: str) -> set[str]:
+    """Make a folder the scene's capture and look at it; what an operator then returns."""
     if absolute(context.scene.robir.capture) != capture:
         _forget_choices(context.scene.robir)
         context.scene.robir.out = result_of(capture)
     context.scene.robir.capture = str(capture)
     if is_engine_coming(context):
         return {"FINISHED"}  # it is looked at when the engine is there
-    try:
-        return bpy.ops.robir.look_at_capture(way, is_chosen=True)
-    except RuntimeError as fault:  # how Blender passes on what that operator reported
-        operator.report({"ERROR"}, reported(fault))
-        return {"CANCELLED"}
+    return bpy.ops.robir.look_at_capture(way, is_chosen=True)
 
 
 def _forget_choices(settings: Any) -> None:
@@ -345,49 +270,9 @@ def _forget_choices(settings: Any) -> None:
         settings.property_unset(name)
 
 
-def may_choose(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
-    """Whether a capture can be chosen: while the engine is installed it can, and waits."""
-    return is_engine_coming(context) or may_begin(operator, context)
-
-
-def is_engine_coming(context: bpy.types.Context) -> bool:
-    """Whether the engine is being installed or checked; a capture can be chosen meanwhile."""
-    return context.window_manager.robir.task in ("install", "check_engine")
-
-
 def look_at_waiting(context: bpy.types.Context) -> None:
     """Look at the capture that was chosen before there was an engine."""
     state = context.window_manager.robir
     if state.looked_at != context.scene.robir.capture and not bpy.app.background:
         with monitor.in_window():
             bpy.ops.robir.look_at_capture("INVOKE_DEFAULT", is_chosen=True)
-
-
-def has_capture(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
-    """Whether a capture is chosen; says so as the operator's reason if none is."""
-    chosen = bool(context.scene.robir.capture)
-    if not chosen:
-        operator.poll_message_set(told("Choose a capture first"))
-    return chosen
-
-
-def may_begin(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
-    """Whether nothing is at work; says so as the operator's reason if something is."""
-    reason = why_wait(context)
-    if reason:
-        operator.poll_message_set(reason)
-    return not reason
-
-
-def why_wait(context: bpy.types.Context) -> str:
-    """Why nothing else can begin now; empty where it can."""
-    at_work = monitor.is_busy() or context.window_manager.robir.task
-    return told("Wait until the work at hand is done, or cancel it") if at_work else ""
-
-
-CLASSES = (
-    ROBIR_OT_choose_capture,
-    ROBIR_OT_look_at_capture,
-    ROBIR_OT_add_box,
-    ROBIR_OT_clear_capture,
-)

@@ -16,7 +16,7 @@ from ..result.comparison import Comparison, compare, neighbour
 from ..result.importer import mark_of, read_cameras
 from ..result.pictures import put_image, show_image
 from ..words import told, words
-from .shared import ResultOperator, result_paths
+from .shared import Operator, has_result, result_paths
 
 COMPARISON = "RobIR comparison"
 
@@ -24,13 +24,18 @@ _shown: list[tuple[Path, Comparison]] = []
 """The view that was compared last, and its result folder; a file that opens has none."""
 
 
-class ROBIR_OT_compare(ResultOperator, bpy.types.Operator):
-    """Photograph, re-render, albedo and roughness side by side."""
+def _is_compared(context: bpy.types.Context) -> str:
+    """A view was compared, and where an editor shows an image it is that."""
+    shown, image = getattr(context.space_data, "image", None), bpy.data.images.get(COMPARISON)
+    is_other = image is None or VIEW not in image or shown not in (None, image)
+    return told("Press Compare first") if is_other else ""
 
-    bl_idname = "robir.compare"
+
+class ROBIR_OT_compare(Operator, bpy.types.Operator):
+    """Show a photograph, its re-render, albedo and roughness side by side."""
+
     bl_label = "Compare"
-    bl_description = "Show a photograph, its re-render, albedo and roughness side by side"
-    bl_options = {"REGISTER", "UNDO"}
+    needs = (has_result,)
 
     view: StringProperty(
         name="View",
@@ -39,42 +44,25 @@ class ROBIR_OT_compare(ResultOperator, bpy.types.Operator):
     )
 
     def work(self, context: bpy.types.Context) -> None:
-        """Make one image of the four."""
         paths = result_paths(context)
         self.report({"INFO"}, _show_comparison(context, paths, read_cameras(paths), self.view))
 
 
-class ROBIR_OT_compare_next(ResultOperator, bpy.types.Operator):
-    """The comparison of another view."""
+class ROBIR_OT_compare_next(Operator, bpy.types.Operator):
+    """Compare the next view that was rendered again; arrow keys go on and back."""
 
-    bl_idname = "robir.compare_next"
     bl_label = "Compare Next View"
-    bl_description = "Compare the next view that was rendered again; arrow keys go on and back"
-    bl_options = {"REGISTER", "UNDO"}
+    needs = (has_result, _is_compared)
 
     step: IntProperty(name="Step", description="Views to go on by; negative goes back", default=1)
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Once a view was compared; as a key only over an editor that shows the comparison."""
-        if not super().poll(context):
-            return False
-        shown = getattr(context.space_data, "image", None)
-        image = bpy.data.images.get(COMPARISON)
-        if image is None or VIEW not in image or shown not in (None, image):
-            cls.poll_message_set(told("Press Compare first"))
-            return False
-        return True
-
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Go on; a key over anything but the comparison is somebody else's."""
         is_key = event.type in ("RIGHT_ARROW", "LEFT_ARROW")
         if is_key and getattr(context.space_data, "image", None) != bpy.data.images[COMPARISON]:
             return {"PASS_THROUGH"}
         return self.execute(context)
 
     def work(self, context: bpy.types.Context) -> None:
-        """Compare the view so many steps on."""
         paths = result_paths(context)
         table = read_cameras(paths)
         view = neighbour(paths, table, bpy.data.images[COMPARISON][VIEW], self.step)
@@ -136,32 +124,19 @@ def _draw_header(header: bpy.types.Header, context: bpy.types.Context) -> None:
         row.prop(state, "wipe", slider=True)
 
 
-_keys: list[tuple[bpy.types.KeyMap, bpy.types.KeyMapItem]] = []
+# the image editor asks "Frames", which steps the timeline by them, before its own keys
+KEYS = tuple(
+    ("Frames", "EMPTY", key, ROBIR_OT_compare_next, {"step": step})
+    for key, step in (("RIGHT_ARROW", 1), ("LEFT_ARROW", -1))
+)
 
 
 def register() -> None:
-    """Let buttons and arrow keys over the comparison go from view to view.
-
-    The image editor asks "Frames", which steps the timeline by them, before its own keys.
-    """
+    """Let buttons over the comparison go from view to view."""
     bpy.types.IMAGE_HT_header.prepend(_draw_header)
-    keys = bpy.context.window_manager.keyconfigs.addon
-    if keys is None:  # without a window
-        return
-    keymap = keys.keymaps.new(name="Frames")
-    for key, step in (("RIGHT_ARROW", 1), ("LEFT_ARROW", -1)):
-        item = keymap.keymap_items.new(ROBIR_OT_compare_next.bl_idname, key, "PRESS")
-        item.properties.step = step
-        _keys.append((keymap, item))
 
 
 def unregister() -> None:
-    """Give the keys back."""
+    """Take them back."""
     bpy.types.IMAGE_HT_header.remove(_draw_header)
     _shown.clear()
-    while _keys:
-        keymap, item = _keys.pop()
-        keymap.keymap_items.remove(item)
-
-
-CLASSES = (ROBIR_OT_compare, ROBIR_OT_compare_next)

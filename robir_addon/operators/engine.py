@@ -18,8 +18,8 @@ from ..preferences import engine_python, engine_status, managed_place, managed_w
 from ..words import told
 from ..work import monitor
 from ..work.worker import in_panel_words
-from .capture import look_at_waiting, why_wait
-from .shared import refused
+from .capture import look_at_waiting
+from .shared import Operator, at_rest, has_engine, refused
 
 OFFLINE = "Blender is not allowed to go online"
 _ALLOW = (
@@ -37,11 +37,7 @@ class _Task:
     """A subprocess of the engine: what it says goes to the window manager's state."""
 
     def __init__(self, what: Sentence) -> None:
-        """Clear what the last task left.
-
-        Args:
-            what: What is done, for the message when the process dies without a word.
-        """
+        """Clear what the last task left."""
         self._what = what
         self._last: dict[str, Any] = {}
         _tell("", "")
@@ -52,12 +48,7 @@ class _Task:
             self._last = report
 
     def on_end(self, code: int, complaint: str) -> None:
-        """Show the outcome.
-
-        Args:
-            code: Exit code of the process, 130 if it was cancelled.
-            complaint: What it said besides.
-        """
+        """Show the outcome."""
         if code == _CANCELLED:
             self.cancelled()
         elif "error" in self._last:
@@ -116,106 +107,106 @@ class _Removal(_Task):
         _tell(told("Not RobIR's and left in place: {names}", names=left) if left else "", "")
 
 
-class ROBIR_OT_install_engine(bpy.types.Operator):
-    """Make the engine, go on with a broken installation, or update it."""
+def _is_managed(context: bpy.types.Context) -> str:
+    """The engine is one that RobIR makes."""
+    chosen = preferences_of(context)
+    if chosen is None:
+        return told("RobIR is not enabled as an add-on; the engine is this Python")
+    if chosen.engine != "MANAGED":
+        return told("An existing environment is chosen in the preferences")
+    try:
+        managed_place()
+        managed_wheel()
+    except EngineError as error:
+        return f"{_sentence(told(error.message))}: {told(error.cure)}"
+    return ""
 
-    bl_idname = "robir.install_engine"
-    bl_label = "Install Engine"
-    bl_description = (
-        "Download what reconstructs into a folder of its own; Blender's Python stays as it is"
-    )
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Only where there is something to install."""
-        problem = _not_managed(context) or why_wait(context)
-        if not problem and engine_status(context).state == "ready":
-            problem = told("The engine is installed")
-        return _allowed(cls, problem)
+def _is_wanted(context: bpy.types.Context) -> str:
+    is_ready = engine_status(context).state == "ready"
+    return told("The engine is installed") if is_ready else ""
+
+
+def _is_there(context: bpy.types.Context) -> str:
+    is_missing = engine_status(context).state == "missing"
+    return told("There is no engine to remove") if is_missing else ""
+
+
+def _is_installing(context: bpy.types.Context) -> str:
+    at_work = context.window_manager.robir.task == "install"
+    return "" if at_work else told("No installation is at work")
+
+
+class _EngineOperator(Operator):
+    """Starts a task; its outcome is in the state, and what went wrong becomes the report."""
+
+    bl_options = {"REGISTER"}
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Install while Blender stays usable."""
-        return self._install(context, monitor.run_task)
+        return self._run(context, monitor.run_task)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Install and return when that is done."""
-        return self._install(context, monitor.wait_task)
+        return self._run(context, monitor.wait_task)
 
-    def _install(self, context: bpy.types.Context, run: Run) -> set[str]:
+    def start(self, context: bpy.types.Context, run: Run) -> None:
+        """Start the task."""
+        raise NotImplementedError
+
+    def _run(self, context: bpy.types.Context, run: Run) -> set[str]:
         try:
-            command = _install_command(context)
+            self.start(context, run)
         except EngineError as error:
             _tell_error(error)
-        else:
-            task = _Installation(Sentence("The installation"))
-            _start(run, "install", command, task)
-        return _outcome(self, context)
+        state = context.window_manager.robir
+        if not state.error:
+            return {"FINISHED"}
+        cure = f"; {state.error_cure}" if state.error_cure else ""
+        refused(self, context, f"{state.error}{cure}")
+        return {"CANCELLED"}
 
 
-class ROBIR_OT_cancel_install(bpy.types.Operator):
-    """Stop the installation; the next one goes on where it stopped."""
+class ROBIR_OT_install_engine(_EngineOperator, bpy.types.Operator):
+    """Download what reconstructs into a folder of its own; Blender's Python stays as it is."""
 
-    bl_idname = "robir.cancel_install"
+    bl_label = "Install Engine"
+    needs = (_is_managed, at_rest, _is_wanted)
+
+    def start(self, context: bpy.types.Context, run: Run) -> None:
+        command = _install_command(context)
+        _start(run, "install", command, _Installation(Sentence("The installation")))
+
+
+class ROBIR_OT_cancel_install(Operator, bpy.types.Operator):
+    """Stop the installation; the next one goes on where this one stopped."""
+
     bl_label = "Cancel Installation"
-    bl_description = "Stop the installation; the next one goes on where this one stopped"
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Only during an installation."""
-        at_work = context.window_manager.robir.task == "install"
-        return _allowed(cls, "" if at_work else told("No installation is at work"))
+    bl_options = {"REGISTER"}
+    needs = (_is_installing,)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Ask the process to end."""
         monitor.cancel()
         return {"FINISHED"}
 
 
-class ROBIR_OT_check_engine(bpy.types.Operator):
-    """Let the engine make a real, tiny reconstruction."""
+class ROBIR_OT_check_engine(_EngineOperator, bpy.types.Operator):
+    """Make a tiny reconstruction, and say the device, its memory and the versions, or what is wrong
+    and what to do.
+    """
 
-    bl_idname = "robir.check_engine"
     bl_label = "Check Engine"
-    bl_description = (
-        "Make a tiny reconstruction, and say the device, its memory and the versions, or what is "
-        "wrong and what to do"
-    )
+    needs = (has_engine, at_rest)
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Only where there is an engine."""
-        status = engine_status(context)
-        problem = f"{told(status.text)}: {told(status.cure)}"
-        return _allowed(cls, why_wait(context) if status.state == "ready" else problem)
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Check while Blender stays usable."""
-        _check(context, monitor.run_task)
-        return _outcome(self, context)
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        """Check and return when that is done."""
-        _check(context, monitor.wait_task)
-        return _outcome(self, context)
+    def start(self, context: bpy.types.Context, run: Run) -> None:
+        _check(context, run)
 
 
-class ROBIR_OT_remove_engine(bpy.types.Operator):
-    """Remove the engine that RobIR made."""
+class ROBIR_OT_remove_engine(_EngineOperator, bpy.types.Operator):
+    """Remove the engine that RobIR made, and nothing else."""
 
-    bl_idname = "robir.remove_engine"
     bl_label = "Remove Engine"
-    bl_description = "Remove the engine that RobIR made, and nothing else"
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Only where there is something of ours."""
-        problem = _not_managed(context) or why_wait(context)
-        if not problem and engine_status(context).state == "missing":
-            problem = told("There is no engine to remove")
-        return _allowed(cls, problem)
+    needs = (_is_managed, at_rest, _is_there)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Ask first, saying what goes."""
         return context.window_manager.invoke_confirm(
             self,
             event,
@@ -226,15 +217,12 @@ class ROBIR_OT_remove_engine(bpy.types.Operator):
         )
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Remove it: in a window while Blender stays usable, for a script to the end."""
-        run = monitor.wait_task if bpy.app.background else monitor.run_task
-        try:
-            command = engine.worker_command(str(managed_place().root), module="remove")
-        except EngineError as error:
-            _tell_error(error)
-        else:
-            _start(run, "remove_engine", command, _Removal(Sentence("The removal")))
-        return _outcome(self, context)
+        # what a confirmed question runs; only a script waits
+        return self._run(context, monitor.wait_task if bpy.app.background else monitor.run_task)
+
+    def start(self, context: bpy.types.Context, run: Run) -> None:
+        command = engine.worker_command(str(managed_place().root), module="remove")
+        _start(run, "remove_engine", command, _Removal(Sentence("The removal")))
 
 
 def what_goes() -> str:
@@ -297,27 +285,6 @@ def _start(run: Run, name: str, command: list[str], task: _Task) -> None:
         monitor.show_problem(told(error))
 
 
-def _not_managed(context: bpy.types.Context) -> str:
-    """Why there is no managed engine to work on; empty if there is."""
-    chosen = preferences_of(context)
-    if chosen is None:
-        return told("RobIR is not enabled as an add-on; the engine is this Python")
-    if chosen.engine != "MANAGED":
-        return told("An existing environment is chosen in the preferences")
-    try:
-        managed_place()
-        managed_wheel()
-    except EngineError as error:
-        return f"{_sentence(told(error.message))}: {told(error.cure)}"
-    return ""
-
-
-def _allowed(operator: type[bpy.types.Operator], problem: str) -> bool:
-    if problem:
-        operator.poll_message_set(problem)
-    return not problem
-
-
 def _tell_error(error: EngineError) -> None:
     _tell(told(error.message), told(error.cure))
 
@@ -328,23 +295,5 @@ def _tell(error: str, cure: str) -> None:
     state.engine_error = state.error
 
 
-def _outcome(operator: bpy.types.Operator, context: bpy.types.Context) -> set[str]:
-    """What an operator returns; what went wrong is in the state and becomes its report."""
-    state = context.window_manager.robir
-    if not state.error:
-        return {"FINISHED"}
-    cure = f"; {state.error_cure}" if state.error_cure else ""
-    refused(operator, context, f"{state.error}{cure}")
-    return {"CANCELLED"}
-
-
 def _sentence(text: str) -> str:
     return text[:1].upper() + text[1:]
-
-
-CLASSES = (
-    ROBIR_OT_install_engine,
-    ROBIR_OT_cancel_install,
-    ROBIR_OT_check_engine,
-    ROBIR_OT_remove_engine,
-)

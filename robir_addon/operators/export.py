@@ -11,13 +11,14 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 from bpy_extras.io_utils import ExportHelper
 
+from ..blocks import MARK
 from ..errors import RequestError, ResultError
 from ..relighting.lights import lamps_of
 from ..result.asset import make_asset
-from ..result.importer import asset_of, mark_of
+from ..result.importer import asset_of
 from ..result.reducing import levels_of_detail, reduced
 from ..words import told
-from .shared import ImportedOperator, ResultOperator, result_paths, result_root
+from .shared import Operator, has_result, is_imported, result_asset, result_paths, result_root
 
 
 class _SaveAs(ExportHelper):
@@ -53,7 +54,6 @@ class _SaveAs(ExportHelper):
     )
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Open the file browser; it asks before it overwrites."""
         if not self.filepath:
             self.filepath = f"{result_root(context).name}{self.filename_ext}"
         asset = asset_of(result_root(context))
@@ -68,16 +68,14 @@ class _SaveAs(ExportHelper):
         return Path(bpy.path.abspath(self.filepath)).with_suffix(self.filename_ext)
 
 
-class ROBIR_OT_export_glb(_SaveAs, ResultOperator, bpy.types.Operator):
-    """The object as it stands in the scene, or, before it is imported, as it was reconstructed."""
+class ROBIR_OT_export_glb(_SaveAs, Operator, bpy.types.Operator):
+    """Save the object as glTF binary, with what you have changed: place, modifiers, material.
+    Before the import, the reconstruction's own file. The format knows no environment light.
+    """
 
-    bl_idname = "robir.export_glb"
     bl_label = "Export GLB"
-    bl_description = (
-        "Save the object as glTF binary, with what you have changed: place, modifiers, material. "
-        "Before the import, the reconstruction's own file. The format knows no environment light"
-    )
     bl_options = {"REGISTER", "PRESET"}
+    needs = (has_result,)
 
     filename_ext = ".glb"
     filter_glob: StringProperty(default="*.glb", options={"HIDDEN"})
@@ -91,7 +89,6 @@ class ROBIR_OT_export_glb(_SaveAs, ResultOperator, bpy.types.Operator):
     )
 
     def work(self, context: bpy.types.Context) -> None:
-        """Write the present object; without one copy the file that the export stage made."""
         asset = asset_of(result_root(context))
         if asset is not None:
             levels = levels_of_detail(asset, self.most_faces, self.levels)
@@ -130,35 +127,25 @@ def _write_glb(layer: bpy.types.ViewLayer, asset: bpy.types.Object, target: Path
         )
 
 
-class ROBIR_OT_export_usd(_SaveAs, ImportedOperator, bpy.types.Operator):
-    """The imported object with its present light."""
+def _knows_usd(_context: bpy.types.Context) -> str:
+    return "" if bpy.app.build_options.usd else told("This Blender was built without USD")
 
-    bl_idname = "robir.export_usd"
+
+class ROBIR_OT_export_usd(_SaveAs, Operator, bpy.types.Operator):
+    """Save the imported object as USD, with its textures, the World as a dome light and the Sun
+    lamps that shine.
+    """
+
     bl_label = "Export USD"
-    bl_description = (
-        "Save the imported object as USD, with its textures, the World as a dome light "
-        "and the Sun lamps that shine"
-    )
     bl_options = {"REGISTER"}
+    needs = (_knows_usd, is_imported)
 
     filename_ext = ".usdc"
     filter_glob: StringProperty(default="*.usdc", options={"HIDDEN"})
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Where Blender can write USD."""
-        if not bpy.app.build_options.usd:
-            cls.poll_message_set(told("This Blender was built without USD"))
-            return False
-        return super().poll(context)
-
     def work(self, context: bpy.types.Context) -> None:
-        """Write object and light; the selection is left as it was."""
-        root = result_root(context)
-        asset = asset_of(root)
-        if asset is None:
-            raise ResultError("the object is not in this file; import the result again")
-        lamps = [lamp for lamp in lamps_of(mark_of(root)) if not lamp.hide_viewport]
+        asset = result_asset(context)
+        lamps = [lamp for lamp in lamps_of(asset[MARK]) if not lamp.hide_viewport]
         target = self.target()
         target.parent.mkdir(parents=True, exist_ok=True)
         (faces,) = levels_of_detail(asset, self.most_faces, 1)
@@ -181,13 +168,12 @@ class ROBIR_OT_export_usd(_SaveAs, ImportedOperator, bpy.types.Operator):
         self.report({"INFO"}, told(text, name=target.name))
 
 
-class ROBIR_OT_export_textures(ResultOperator, bpy.types.Operator):
-    """Texture images in a folder."""
+class ROBIR_OT_export_textures(Operator, bpy.types.Operator):
+    """Copy the texture images to a folder."""
 
-    bl_idname = "robir.export_textures"
     bl_label = "Export Textures"
-    bl_description = "Copy the texture images to a folder"
     bl_options = {"REGISTER", "PRESET"}
+    needs = (has_result,)
 
     directory: StringProperty(
         name="Folder",
@@ -203,12 +189,10 @@ class ROBIR_OT_export_textures(ResultOperator, bpy.types.Operator):
     )
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Ask for the folder."""
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
     def work(self, context: bpy.types.Context) -> None:
-        """Copy all or nothing."""
         if not self.directory:
             raise RequestError("no folder was given; choose one for the textures")
         folder = Path(bpy.path.abspath(self.directory))
@@ -228,24 +212,16 @@ class ROBIR_OT_export_textures(ResultOperator, bpy.types.Operator):
         self.report({"INFO"}, told(text, count=len(files), folder=folder.name))
 
 
-class ROBIR_OT_mark_asset(ImportedOperator, bpy.types.Operator):
-    """The object in Blender's asset library."""
+class ROBIR_OT_mark_asset(Operator, bpy.types.Operator):
+    """Mark the object as an asset with preview, description and tags; it is in the library once
+    this file is saved there.
+    """
 
-    bl_idname = "robir.mark_asset"
     bl_label = "Mark as Asset"
-    bl_description = (
-        "Mark the object as an asset with preview, description and tags; "
-        "it is in the library once this file is saved there"
-    )
-    bl_options = {"REGISTER", "UNDO"}
+    needs = (is_imported,)
 
     def work(self, context: bpy.types.Context) -> None:
-        """Mark it; saving is left to the user."""
-        paths = result_paths(context)
-        asset = asset_of(paths.root)
-        if asset is None:
-            raise ResultError("the object is not in this file; import the result again")
-        make_asset(asset, paths)
+        make_asset(result_asset(context), result_paths(context))
 
 
 @contextmanager
@@ -285,11 +261,3 @@ def copy_whole(source: Path, target: Path) -> None:
         temporary.replace(target)
     finally:
         temporary.unlink(missing_ok=True)
-
-
-CLASSES = (
-    ROBIR_OT_export_glb,
-    ROBIR_OT_export_usd,
-    ROBIR_OT_export_textures,
-    ROBIR_OT_mark_asset,
-)

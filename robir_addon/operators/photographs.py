@@ -4,47 +4,30 @@
 import bpy
 from bpy.props import IntProperty
 
-from ..words import reported, told
-from .capture import has_capture, may_begin
+from ..words import told
+from .shared import WaitingOperator, at_rest, has_capture
 
 MISSING = "missing-images"
 """Code of the finding that poses have no photograph."""
 
 
-class ROBIR_OT_leave_out(bpy.types.Operator):
-    """Do without the photographs of a finding."""
+def _has_findings(context: bpy.types.Context) -> str:
+    return "" if context.window_manager.robir.findings else told("Look at the capture first")
 
-    bl_idname = "robir.leave_out"
+
+class ROBIR_OT_leave_out(WaitingOperator, bpy.types.Operator):
+    """Do without the photographs that this finding names, and look at the capture again; the list
+    of photographs takes them back.
+    """
+
     bl_label = "Leave Out"
-    bl_description = (
-        "Do without the photographs that this finding names, and look at the capture again; "
-        "the list of photographs takes them back"
-    )
-    bl_options = {"REGISTER", "UNDO"}
+    needs = (has_capture, at_rest, _has_findings)
 
     finding: IntProperty(
         name="Finding", description="Its place in the list of findings", options={"SKIP_SAVE"}
     )
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Once a capture was looked at, while nothing is at work."""
-        if not (has_capture(cls, context) and may_begin(cls, context)):
-            return False
-        if not context.window_manager.robir.findings:
-            cls.poll_message_set(told("Look at the capture first"))
-            return False
-        return True
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Look again without making the user wait."""
-        return self._leave_out(context, "INVOKE_DEFAULT")
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        """Look again and return when that is done."""
-        return self._leave_out(context, "EXEC_DEFAULT")
-
-    def _leave_out(self, context: bpy.types.Context, way: str) -> set[str]:
+    def begin(self, context: bpy.types.Context, way: str) -> set[str]:
         settings = context.scene.robir
         findings = context.window_manager.robir.findings
         finding = findings[min(self.finding, len(findings) - 1)]
@@ -54,11 +37,7 @@ class ROBIR_OT_leave_out(bpy.types.Operator):
             photograph = settings.photographs.get(name)
             if photograph is not None:
                 photograph.is_used = False
-        try:
-            return bpy.ops.robir.look_at_capture(way)
-        except RuntimeError as fault:  # how Blender passes on what that operator reported
-            self.report({"ERROR"}, reported(fault))
-            return {"CANCELLED"}
+        return bpy.ops.robir.look_at_capture(way)
 
 
 def can_leave_out(finding: bpy.types.AnyType, settings: bpy.types.AnyType) -> bool:
@@ -66,6 +45,3 @@ def can_leave_out(finding: bpy.types.AnyType, settings: bpy.types.AnyType) -> bo
     names = finding.files.splitlines()
     known = settings.photographs
     return finding.code == MISSING or any(n in known and known[n].is_used for n in names)
-
-
-CLASSES = (ROBIR_OT_leave_out,)

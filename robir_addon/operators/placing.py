@@ -7,7 +7,7 @@ from bpy_extras.view3d_utils import region_2d_to_origin_3d, region_2d_to_vector_
 from mathutils import Vector
 
 from ..errors import RequestError, ResultError
-from ..result.importer import asset_of, read_cameras
+from ..result.importer import read_cameras
 from ..result.materials import is_edited, mark_as_imported
 from ..result.placing import (
     GROUND_SHARE,
@@ -19,33 +19,22 @@ from ..result.placing import (
 )
 from ..result.ruler import Ruler
 from ..words import told, words
-from .shared import ImportedOperator, is_in_object_mode, result_paths, result_root
+from .shared import Operator, in_object_mode, is_imported, result_asset, result_paths
+
+_PLACING = (is_imported, in_object_mode)
 
 
-class _PlacingOperator(ImportedOperator):
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Where a result is in the file, but not in edit mode."""
-        return super().poll(context) and is_in_object_mode(cls, context)
-
-    def asset(self, context: bpy.types.Context) -> bpy.types.Object:
-        """The imported object."""
-        asset = asset_of(result_root(context))
-        if asset is None:
-            raise ResultError("the object is not in this file; import the result again")
-        return asset
-
-
-class ClickingOperator(_PlacingOperator):
+class ClickingOperator(Operator):
     """Lets the user click points of the object in the viewport; Esc leaves all as it is."""
 
-    def begin(self, context: bpy.types.Context, sentence: str) -> set[str]:
-        """Wait for clicks.
+    needs = _PLACING
 
-        Args:
-            context: Of the operator.
-            sentence: What the user is to do.
-        """
+    def asset(self, context: bpy.types.Context) -> bpy.types.Object:
+        """What is clicked."""
+        return result_asset(context)
+
+    def begin(self, context: bpy.types.Context, sentence: str) -> set[str]:
+        """Wait for clicks."""
         try:
             self._asset_name = self.asset(context).name
         except ResultError as error:
@@ -55,7 +44,6 @@ class ClickingOperator(_PlacingOperator):
         return {"RUNNING_MODAL"}
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Take clicks on the object."""
         if event.type in {"ESC", "RIGHTMOUSE"}:
             self.ruler.remove()
             return {"CANCELLED"}
@@ -69,20 +57,15 @@ class ClickingOperator(_PlacingOperator):
         return self.clicked(context)
 
     def clicked(self, context: bpy.types.Context) -> set[str]:
-        """Use the ruler's points, the last of which is new; what the operator then returns."""
         raise NotImplementedError
 
 
 class ROBIR_OT_set_real_size(ClickingOperator, bpy.types.Operator):
-    """Two points of the object and how far apart they are."""
+    """Click two points of the object and say how far apart they are; cameras and lamps go along,
+    and the object's scale stays 1.
+    """
 
-    bl_idname = "robir.set_real_size"
     bl_label = "Set Real Size"
-    bl_description = (
-        "Click two points of the object and say how far apart they are; cameras and lamps go "
-        "along, and the object's scale stays 1"
-    )
-    bl_options = {"REGISTER", "UNDO"}
 
     first: FloatVectorProperty(
         name="First point", description="A point of the object, world", options={"SKIP_SAVE"}
@@ -100,13 +83,11 @@ class ROBIR_OT_set_real_size(ClickingOperator, bpy.types.Operator):
     )
 
     def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
-        """Let the user click two points; once they are known, ask how far apart they are."""
         if tuple(self.first) != tuple(self.second):
             return context.window_manager.invoke_props_dialog(self)
         return self.begin(context, words("Click a point of the object; Esc leaves all as it is"))
 
     def clicked(self, context: bpy.types.Context) -> set[str]:
-        """The length is asked for by another run, as this one ends."""
         if len(self.ruler.points) < 2:
             self.ruler.say(words("Click the other point"))
             return {"RUNNING_MODAL"}
@@ -117,12 +98,10 @@ class ROBIR_OT_set_real_size(ClickingOperator, bpy.types.Operator):
         return {"CANCELLED"}  # nothing was changed by this one
 
     def draw(self, _context: bpy.types.Context) -> None:
-        """The one question."""
         self.layout.prop(self, "length")
 
     def work(self, context: bpy.types.Context) -> None:
-        """Scale."""
-        asset = self.asset(context)
+        asset = result_asset(context)
         measured = (Vector(self.second) - Vector(self.first)).length
         if measured <= 0.0 or self.length <= 0.0:
             raise RequestError("no length was given; click two points apart and say how far")
@@ -136,36 +115,29 @@ class ROBIR_OT_set_real_size(ClickingOperator, bpy.types.Operator):
         self.report({"INFO"}, told(text, name=asset.name, size=size))
 
 
-class ROBIR_OT_stand_on_floor(_PlacingOperator, bpy.types.Operator):
-    """Origin at the foot, foot at the world's origin."""
+class ROBIR_OT_stand_on_floor(Operator, bpy.types.Operator):
+    """Put the object's origin to its foot, or the ground it was photographed on, and that to the
+    middle of the floor; cameras and lamps go along.
+    """
 
-    bl_idname = "robir.stand_on_floor"
     bl_label = "Stand on Floor"
-    bl_description = (
-        "Put the object's origin to its foot, or the ground it was photographed on, and that to "
-        "the middle of the floor; cameras and lamps go along"
-    )
-    bl_options = {"REGISTER", "UNDO"}
+    needs = _PLACING
 
     def work(self, context: bpy.types.Context) -> None:
-        """Move."""
-        asset, table = self.asset(context), read_cameras(result_paths(context))
+        asset, table = result_asset(context), read_cameras(result_paths(context))
         was_edited = is_edited(asset)
         stand(asset, table.get("ground"))
         if not was_edited:
             mark_as_imported(asset)
 
 
-class ROBIR_OT_drop_ground(_PlacingOperator, bpy.types.Operator):
-    """The ground that the object was photographed on, taken away."""
+class ROBIR_OT_drop_ground(Operator, bpy.types.Operator):
+    """Delete the ground that was photographed with the object, and crumbs; what stood on the floor
+    stands again.
+    """
 
-    bl_idname = "robir.drop_ground"
     bl_label = "Drop Ground"
-    bl_description = (
-        "Delete the ground that was photographed with the object, and crumbs; what stood on the "
-        "floor stands again"
-    )
-    bl_options = {"REGISTER", "UNDO"}
+    needs = _PLACING
 
     height: FloatProperty(
         name="Height",
@@ -176,34 +148,30 @@ class ROBIR_OT_drop_ground(_PlacingOperator, bpy.types.Operator):
     )
 
     def work(self, context: bpy.types.Context) -> None:
-        """Delete its faces."""
         table = read_cameras(result_paths(context))
         plane = table.get("ground")
         if plane is None:
             raise ResultError(
                 "this result has no flat ground; Crop to Box takes away what is not wanted"
             )
-        asset = self.asset(context)
+        asset = result_asset(context)
         was_edited = is_edited(asset)
         drop_ground(asset, plane, self.height * table["bounds"]["radius"])
         if not was_edited:
             mark_as_imported(asset)  # a newer mesh loses its ground as well
 
 
-class ROBIR_OT_crop_to_box(_PlacingOperator, bpy.types.Operator):
-    """What lies outside the object box, taken away."""
+class ROBIR_OT_crop_to_box(Operator, bpy.types.Operator):
+    """Delete what lies outside the object box of the panel Capture."""
 
-    bl_idname = "robir.crop_to_box"
     bl_label = "Crop to Box"
-    bl_description = "Delete what lies outside the object box of the panel Capture"
-    bl_options = {"REGISTER", "UNDO"}
+    needs = _PLACING
 
     def work(self, context: bpy.types.Context) -> None:
-        """Delete its faces."""
         box = context.scene.robir.box
         if box is None:
             raise RequestError("there is no object box; add one in the panel Capture and place it")
-        asset = self.asset(context)
+        asset = result_asset(context)
         delete_faces(asset, faces_outside(asset, box))
 
 
@@ -233,11 +201,3 @@ def _point_under_mouse(
 def _is_over(region: bpy.types.Region, event: bpy.types.Event) -> bool:
     x, y = event.mouse_x - region.x, event.mouse_y - region.y
     return 0 <= x < region.width and 0 <= y < region.height
-
-
-CLASSES = (
-    ROBIR_OT_set_real_size,
-    ROBIR_OT_stand_on_floor,
-    ROBIR_OT_drop_ground,
-    ROBIR_OT_crop_to_box,
-)

@@ -12,40 +12,39 @@ from ..command_line import worker_environment
 from ..engine import EngineError
 from ..errors import AddonError
 from ..gateway import client
-from ..preferences import engine_python, engine_status
+from ..preferences import engine_python
 from ..result.delight import TARGET, mesh_file, target_of
 from ..result.importer import mark_of
 from ..words import reported, told
 from ..work import monitor
 from ..work.known import check_spot
 from ..work.worker import absolute, in_panel_words, program, request_of, result_folder
-from .capture import has_capture, is_refused, may_begin
-from .shared import MixedIn, is_in_object_mode, refused
-
-_keys: list[tuple[bpy.types.KeyMap, bpy.types.KeyMapItem]] = []
+from .capture import is_refused
+from .shared import Operator, at_rest, has_capture, has_engine, in_object_mode
 
 
-class WorkerOperator(MixedIn):
+def _is_sound(context: bpy.types.Context) -> str:
+    is_faulty = is_refused(absolute(context.scene.robir.capture))
+    return told("The capture has faults: mend what Check names and look again") if is_faulty else ""
+
+
+def _has_target(context: bpy.types.Context) -> str:
+    target = context.object
+    is_mesh = target is not None and target.type == "MESH" and target.select_get()
+    return "" if is_mesh else told("Select the mesh object that the photographs show")
+
+
+def _is_at_work(context: bpy.types.Context) -> str:
+    at_work = monitor.is_busy() and context.window_manager.robir.task
+    return "" if at_work else told("Nothing is at work")
+
+
+class WorkerOperator(Operator):
     """Starts a worker on the chosen capture; what of it is asked, `request` says."""
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """With a capture and an engine, while nothing is at work."""
-        if not (may_begin(cls, context) and has_capture(cls, context)):
-            return False
-        if is_refused(absolute(context.scene.robir.capture)):
-            cls.poll_message_set(
-                told("The capture has faults: mend what Check names and look again")
-            )
-            return False
-        status = engine_status(context)
-        if status.state != "ready":
-            cls.poll_message_set(f"{told(status.text)}: {told(status.cure)}")
-            return False
-        return True
+    needs = (at_rest, has_capture, _is_sound, has_engine)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Start the worker and return; the object arrives by itself."""
         root = self._start(context)
         if root is None:
             return {"CANCELLED"}
@@ -53,7 +52,6 @@ class WorkerOperator(MixedIn):
         return {"FINISHED"}
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Start the worker, wait for it, and import the object."""
         root = self._start(context)
         if root is None:
             return {"CANCELLED"}
@@ -70,30 +68,21 @@ class WorkerOperator(MixedIn):
                 own_folder = context.scene.robir.out and str(result_folder(context.scene.robir))
                 remember(request.capture, own_folder)
         except (AddonError, EngineError, OSError, *client.START_ERRORS) as error:
-            monitor.show_problem(told(error))
-            refused(self, context, in_panel_words(told(error)))
+            self.refuse(context, in_panel_words(told(error)))
             return None
         return request.out
 
     def request(self, context: bpy.types.Context) -> client.Request:
-        """What to ask of the worker.
-
-        Raises:
-            AddonError: With a sentence for the user.
-        """
+        """What to ask of the worker."""
         raise NotImplementedError
 
 
 class ROBIR_OT_reconstruct(WorkerOperator, bpy.types.Operator):
-    """From the photographs to an object in the scene."""
+    """Reconstruct the captured object and import it when it is done; an unfinished reconstruction
+    is continued or, at work, followed; Blender may be closed meanwhile.
+    """
 
-    bl_idname = "robir.reconstruct"
     bl_label = "Reconstruct"
-    bl_description = (
-        "Reconstruct the captured object and import it when it is done; an unfinished "
-        "reconstruction is continued or, at work, followed; Blender may be closed meanwhile"
-    )
-    bl_options = {"REGISTER", "UNDO"}
 
     def request(self, context: bpy.types.Context) -> client.Request:
         """The capture as it is chosen."""
@@ -101,25 +90,13 @@ class ROBIR_OT_reconstruct(WorkerOperator, bpy.types.Operator):
 
 
 class ROBIR_OT_delight(WorkerOperator, bpy.types.Operator):
-    """From photographs and the object they show to its texture without light."""
+    """Make a material without shadows and highlights for the selected object, which stands where
+    the capture's photographs show it, or anywhere if these have no cameras; its own material stays
+    in its slot.
+    """
 
-    bl_idname = "robir.delight"
     bl_label = "De-light Object"
-    bl_description = (
-        "Make a material without shadows and highlights for the selected object, which stands "
-        "where the capture's photographs show it, or anywhere if these have no cameras; its own "
-        "material stays in its slot"
-    )
-    bl_options = {"REGISTER", "UNDO"}
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """With a mesh object, a capture and an engine, while nothing is at work."""
-        target = context.object
-        if target is None or target.type != "MESH" or not target.select_get():
-            cls.poll_message_set(told("Select the mesh object that the photographs show"))
-            return False
-        return is_in_object_mode(cls, context) and super().poll(context)
+    needs = (_has_target, in_object_mode, *WorkerOperator.needs)
 
     def request(self, context: bpy.types.Context) -> client.Request:
         """What to ask of the engine; the object is written beside the result."""
@@ -132,23 +109,14 @@ class ROBIR_OT_delight(WorkerOperator, bpy.types.Operator):
         return replace(request_of(settings), out=root, mesh=file)
 
 
-class ROBIR_OT_cancel_reconstruct(bpy.types.Operator):
-    """Stop what is at work."""
+class ROBIR_OT_cancel_reconstruct(Operator, bpy.types.Operator):
+    """Stop the work at hand; finished stages of a reconstruction are kept."""
 
-    bl_idname = "robir.cancel_reconstruct"
     bl_label = "Cancel"
-    bl_description = "Stop the work at hand; finished stages of a reconstruction are kept"
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """While something is at work."""
-        if not (monitor.is_busy() and context.window_manager.robir.task):
-            cls.poll_message_set(told("Nothing is at work"))
-            return False
-        return True
+    bl_options = {"REGISTER"}
+    needs = (_is_at_work,)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Ask first where it was a key: Esc is pressed for many reasons."""
         if event.type != "ESC":
             return self.execute(context)
         return context.window_manager.invoke_confirm(
@@ -161,7 +129,6 @@ class ROBIR_OT_cancel_reconstruct(bpy.types.Operator):
         )
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Ask it to stop; it is made to if it does not."""
         monitor.cancel()
         return {"FINISHED"}
 
@@ -206,24 +173,15 @@ def _bring_in(root: Path) -> None:
         bpy.ops.ed.undo_push(message="Import Result")
 
 
+# A key and no modal operator: while one of those runs, Blender never saves automatically.
+KEYS = (("3D View", "VIEW_3D", "ESC", ROBIR_OT_cancel_reconstruct, {}),)
+
+
 def register() -> None:
-    """Import what is done, and let Esc over the viewport stop what is at work."""
+    """Import what is done."""
     monitor.on_done.append(_bring_in)
-    keys = bpy.context.window_manager.keyconfigs.addon
-    if keys is None:  # without a window
-        return
-    # A key and no modal operator: while one of those runs, Blender never saves automatically.
-    keymap = keys.keymaps.new(name="3D View", space_type="VIEW_3D")
-    item = keymap.keymap_items.new(ROBIR_OT_cancel_reconstruct.bl_idname, "ESC", "PRESS")
-    _keys.append((keymap, item))
 
 
 def unregister() -> None:
-    """Take both back."""
+    """Import no more."""
     monitor.on_done.remove(_bring_in)
-    while _keys:
-        keymap, item = _keys.pop()
-        keymap.keymap_items.remove(item)
-
-
-CLASSES = (ROBIR_OT_reconstruct, ROBIR_OT_delight, ROBIR_OT_cancel_reconstruct)

@@ -12,7 +12,7 @@ from bpy_extras.io_utils import ImportHelper
 
 from ..child import blender_command
 from ..engine import Sentence
-from ..errors import AddonError, RequestError, ResultError
+from ..errors import AddonError, RequestError
 from ..relighting.lights import (
     choose_light,
     environment_file,
@@ -20,23 +20,21 @@ from ..relighting.lights import (
     world_of,
 )
 from ..result.compositing import clear_stage, set_stage
-from ..result.importer import asset_of, mark_of, read_cameras
+from ..result.importer import mark_of, read_cameras
 from ..result.summary import read_shown
 from ..words import told
 from ..work import monitor
-from .shared import ImportedOperator, result_paths, result_root
+from .shared import Operator, is_imported, result_asset, result_paths, result_root
 
 _FILM_SAMPLES = 16
 """Cycles samples a pixel of a film, before the noise is taken out."""
 
 
-class ROBIR_OT_use_environment(ImportedOperator, bpy.types.Operator, ImportHelper):
-    """Any lat-long image as the light."""
+class ROBIR_OT_use_environment(Operator, bpy.types.Operator, ImportHelper):
+    """Light the scene with a lat-long image, .exr or .hdr."""
 
-    bl_idname = "robir.use_environment"
     bl_label = "Environment File"
-    bl_description = "Light the scene with a lat-long image, .exr or .hdr"
-    bl_options = {"REGISTER", "UNDO"}
+    needs = (is_imported,)
 
     filepath: StringProperty(
         name="File",
@@ -47,7 +45,6 @@ class ROBIR_OT_use_environment(ImportedOperator, bpy.types.Operator, ImportHelpe
     filter_glob: StringProperty(default="*.exr;*.hdr", options={"HIDDEN"})
 
     def work(self, context: bpy.types.Context) -> None:
-        """Take the chosen file."""
         file = Path(bpy.path.abspath(self.filepath))
         if file.suffix.lower() not in (".exr", ".hdr"):
             if not file.name:
@@ -56,52 +53,41 @@ class ROBIR_OT_use_environment(ImportedOperator, bpy.types.Operator, ImportHelpe
         choose_light(context.scene, world_of(mark_of(result_root(context))), str(file))
 
 
-class ROBIR_OT_into_photograph(ImportedOperator, bpy.types.Operator):
-    """The object in its photograph: shadow on the ground, photograph behind."""
+class ROBIR_OT_into_photograph(Operator, bpy.types.Operator):
+    """Look through the active camera of the photographs, or the scene's: photograph behind, a
+    ground that catches the shadow, a transparent film for compositing. Press again to undo.
+    """
 
-    bl_idname = "robir.into_photograph"
     bl_label = "Put into Photograph"
-    bl_description = (
-        "Look through the active camera of the photographs, or the scene's: photograph behind, a "
-        "ground that catches the shadow, a transparent film for compositing. Press again to undo"
-    )
-    bl_options = {"REGISTER", "UNDO"}
+    needs = (is_imported,)
 
     def work(self, context: bpy.types.Context) -> None:
-        """Set it up, or take it away."""
         root = result_root(context)
-        asset = asset_of(root)
-        if asset is None:
-            raise ResultError("the object is not in this file; import the result again")
+        asset = result_asset(context)
         if not clear_stage(context.scene, mark_of(root)):
             set_stage(context, asset, read_cameras(result_paths(context)).get("ground"))
 
 
-class _RenderingOperator(ImportedOperator):
+def _is_free(_context: bpy.types.Context) -> str:
+    return told("Something is at work: wait for it or cancel it") if monitor.is_busy() else ""
+
+
+class _RenderingOperator(Operator):
     """Renders in a Blender of its own; with a window the panel shows how far it is."""
 
+    bl_options = {"REGISTER"}
+    needs = (is_imported, _is_free)
     task: str
     """As `ROBIR_PG_state.task` has it."""
 
     cancelled: Sentence
     """Said where nothing came of it because the user stopped it."""
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """While no other work goes on."""
-        if not super().poll(context):
-            return False
-        if monitor.is_busy():
-            cls.poll_message_set(told("Something is at work: wait for it or cancel it"))
-            return False
-        return True
-
     def words(self, context: bpy.types.Context) -> list[str]:
         """The headless command."""
         raise NotImplementedError
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Start rendering and return; the panel shows how far it is."""
         try:
             command, environment = blender_command(self.words(context))
             made = _Made(self.cancelled, is_opened=self.task == "turntable")
@@ -111,7 +97,6 @@ class _RenderingOperator(ImportedOperator):
         return {"FINISHED"}
 
     def work(self, context: bpy.types.Context) -> None:
-        """Render and wait for it."""
         command, environment = blender_command(self.words(context))
         made = _Made(self.cancelled)
         monitor.wait_task(self.task, command, made.on_line, made.on_end, environment)
@@ -121,15 +106,11 @@ class _RenderingOperator(ImportedOperator):
 
 
 class ROBIR_OT_turntable(_RenderingOperator, bpy.types.Operator):
-    """A film of the light or the object going round once."""
+    """Render a film of the light, the object or both going round once, in a Blender of its own, and
+    open it; this one stays usable.
+    """
 
-    bl_idname = "robir.turntable"
     bl_label = "Render Turntable"
-    bl_description = (
-        "Render a film of the light, the object or both going round once, "
-        "in a Blender of its own, and open it; this one stays usable"
-    )
-    bl_options = {"REGISTER"}
 
     task, cancelled = "turntable", Sentence("No film: it was cancelled")
 
@@ -156,15 +137,11 @@ class ROBIR_OT_turntable(_RenderingOperator, bpy.types.Operator):
 
 
 class ROBIR_OT_picture_lights(_RenderingOperator, bpy.types.Operator):
-    """This object under every light, to choose by."""
+    """Render a small picture of this object under each of the lights to choose from, in a Blender
+    of its own; takes about half a minute, once.
+    """
 
-    bl_idname = "robir.picture_lights"
     bl_label = "Picture All Lights"
-    bl_description = (
-        "Render a small picture of this object under each of the lights to choose from, "
-        "in a Blender of its own; takes about half a minute, once"
-    )
-    bl_options = {"REGISTER"}
 
     task, cancelled = "lights", Sentence("No pictures: it was cancelled")
 
@@ -174,16 +151,7 @@ class ROBIR_OT_picture_lights(_RenderingOperator, bpy.types.Operator):
 
 
 class _Made:
-    """What comes of the process that renders.
-
-    Args:
-        cancelled: What to say where the user stopped it.
-        is_opened: Whether to open the file when it is there.
-
-    Attributes:
-        file: The last file that was written; None until it is there.
-        problem: One sentence if there is none.
-    """
+    """What comes of the process that renders: a file, or a problem in one sentence."""
 
     def __init__(self, cancelled: Sentence, *, is_opened: bool = False) -> None:
         self._cancelled, self._is_opened = cancelled, is_opened
@@ -212,11 +180,3 @@ class _Made:
             ours = [line for line in lines if line.startswith("error: ")]
             self.problem = (ours or lines)[-1].removeprefix("error: ")
             monitor.show_problem(self.problem)
-
-
-CLASSES = (
-    ROBIR_OT_use_environment,
-    ROBIR_OT_into_photograph,
-    ROBIR_OT_turntable,
-    ROBIR_OT_picture_lights,
-)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A capture that comes with the extension: to see what RobIR does before photographing anything."""
+"""A finished sample that comes with the extension: relit at once, without an engine."""
 
 import shutil
 import tempfile
@@ -7,55 +7,68 @@ from pathlib import Path
 
 import bpy
 
+from ..errors import ResultError
 from ..home import own_folder
+from ..relighting.lights import choose_light, world_of
+from ..result.importer import mark_of, remove_result
 from ..words import told
-from .capture import may_choose, take_capture
+from .capture import take_capture
+from .result import bring_in_result
+from .shared import Operator, WaitingOperator, at_rest, in_object_mode
 
-_SHIPPED = Path(__file__).parents[1] / "sample" / "truck"
+_SHIPPED = Path(__file__).parents[1] / "sample" / "avocado"
+"""The result folder; its capture lies in it, under the same name."""
+
+_LIGHT = "sunrise"
+"""What it is relit by: a low sun, unlike the light that it was photographed in."""
 
 
-class ROBIR_OT_try_sample(bpy.types.Operator):
-    """The sample, in a folder that may be written to."""
+def is_sample(result: str) -> bool:
+    """Whether a result folder is the one that came with the extension; touches no file."""
+    return Path(bpy.path.abspath(result)).parts[-2:] == _SHIPPED.parts[-2:]
 
-    bl_idname = "robir.try_sample"
+
+class ROBIR_OT_try_sample(Operator, bpy.types.Operator):
+    """Show the avocado that comes with RobIR, reconstructed from pictures of it and relit; nothing
+    is downloaded, and no engine is needed.
+    """
+
     bl_label = "Try the Sample"
-    bl_description = (
-        "Take the 48 pictures of a toy truck that come with RobIR; nothing is downloaded"
-    )
-    bl_options = {"REGISTER", "UNDO"}
+    needs = (at_rest, in_object_mode)
 
-    _way = "EXEC_DEFAULT"
+    def work(self, context: bpy.types.Context) -> None:
+        sample = _laid_out()
+        bring_in_result(self, context, sample)
+        choose_light(context.scene, world_of(mark_of(sample)), _LIGHT)
+        text = "Relit by the light Sunrise; Relight has the light of the photographs and others"
+        context.window_manager.robir.message = told(text)
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Not while something is at work but the engine's installation."""
-        return may_choose(cls, context)
 
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Do not make the user wait for the look at it."""
-        self._way = "INVOKE_DEFAULT"
-        return self.execute(context)
+class ROBIR_OT_reconstruct_sample(WaitingOperator, bpy.types.Operator):
+    """Take the pictures of the sample, to be reconstructed by your own engine."""
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        """Lay the sample out, once, and choose it."""
-        try:
-            capture = _laid_out()
-        except OSError as fault:
-            self.report({"ERROR"}, told("The sample cannot be laid out: {fault}", fault=fault))
-            return {"CANCELLED"}
-        return take_capture(self, context, capture, self._way)
+    bl_label = "Reconstruct It Yourself"
+    needs = (at_rest, in_object_mode)
+
+    def begin(self, context: bpy.types.Context, way: str) -> set[str]:
+        sample = _laid_out()
+        remove_result(sample)  # its photographs and one's own result take its place
+        return take_capture(context, sample / sample.name, way)
 
 
 def _laid_out() -> Path:
-    """The sample where its result may lie beside it: an update replaces the extension's folder."""
+    """The sample where a result may lie beside its capture.
+
+    An update replaces the extension's own folder.
+    """
     home = own_folder(create=True) or Path(bpy.app.tempdir)
-    capture = home / "sample" / _SHIPPED.name
-    if not capture.is_dir():
-        capture.parent.mkdir(exist_ok=True)
-        part = Path(tempfile.mkdtemp(prefix=".laying-out-", dir=capture.parent))
-        shutil.copytree(_SHIPPED, part, dirs_exist_ok=True)
-        part.replace(capture)
-    return capture
-
-
-CLASSES = (ROBIR_OT_try_sample,)
+    sample = home / "sample" / _SHIPPED.name
+    try:
+        if not (sample / "run.json").is_file():
+            sample.parent.mkdir(exist_ok=True)
+            part = Path(tempfile.mkdtemp(prefix=".laying-out-", dir=sample.parent))
+            shutil.copytree(_SHIPPED, part, dirs_exist_ok=True)
+            part.replace(sample)
+    except OSError as fault:
+        raise ResultError("The sample cannot be laid out: {fault}", fault=fault) from fault
+    return sample

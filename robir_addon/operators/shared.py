@@ -1,17 +1,113 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the operators on a finished result have in common."""
+"""What the operators have in common: names, conditions, and how a refusal is said."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import bpy
 
-from ..errors import AddonError
+from ..engine import EngineError
+from ..errors import AddonError, ResultError
 from ..gateway import JobPaths
+from ..preferences import engine_status
 from ..relighting.lights import world_of
-from ..result.importer import active_result, mark_of
-from ..words import told
+from ..result.importer import active_result, asset_of, mark_of
+from ..words import reported, told
+from ..work import monitor
 from ..work.worker import problem_and_cure
+
+_TAB = "RobIR"  # of the sidebar, where the panels are
+
+_MixedIn = bpy.types.Operator if TYPE_CHECKING else object
+
+
+class Operator(_MixedIn):
+    """Runs `work`, and turns what it raises into one sentence for the user.
+
+    A class named ROBIR_OT_name becomes `robir.name`, and its docstring the tool-tip.
+
+    Attributes:
+        needs: Conditions: functions of the context that say what is missing, or "".
+    """
+
+    bl_options = {"REGISTER", "UNDO"}
+    needs: tuple[Callable[[bpy.types.Context], str], ...] = ()
+
+    def __init_subclass__(cls) -> None:
+        """Derive what Blender asks for."""
+        kind, _, name = cls.__name__.partition("_OT_")
+        if kind == "ROBIR":
+            cls.bl_idname = f"robir.{name}"
+            cls.bl_description = " ".join((cls.__doc__ or "").split()).removesuffix(".")
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Whether all is there; where not, the tool-tip says what to do."""
+        reason = next(filter(None, (need(context) for need in cls.needs)), "")
+        if reason:
+            cls.poll_message_set(reason)
+        return not reason
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Do the work at once."""
+        state = context.window_manager.robir
+        state.error = state.error_cure = ""
+        if not state.task:
+            state.message = ""  # what was said of the last click
+        try:
+            self.work(context)
+        except (AddonError, EngineError, OSError) as error:
+            return self.refuse(context, told(error))
+        return {"FINISHED"}
+
+    def work(self, context: bpy.types.Context) -> None:
+        """What the operator is for."""
+        raise NotImplementedError
+
+    def refuse(self, context: bpy.types.Context, sentence: str) -> set[str]:
+        """Say why nothing was done, in the panel; where that is not seen, in a pop-up.
+
+        A pop-up beside the panel would say it twice, and take the next click.
+        """
+        state = context.window_manager.robir
+        state.error, state.error_cure = problem_and_cure(sentence)
+        refused(self, context, sentence)
+        return {"CANCELLED"}
+
+
+class WaitingOperator(Operator):
+    """A click does not make the user wait; a script gets what came of it."""
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Begin, and return."""
+        return self._begin(context, "INVOKE_DEFAULT")
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Return when it is done."""
+        return self._begin(context, "EXEC_DEFAULT")
+
+    def _begin(self, context: bpy.types.Context, way: str) -> set[str]:
+        try:
+            return self.begin(context, way)
+        except AddonError as error:
+            return self.refuse(context, told(error))
+        except RuntimeError as fault:  # how Blender passes on what another operator reported
+            self.report({"ERROR"}, reported(fault))
+            return {"CANCELLED"}
+
+    def begin(self, context: bpy.types.Context, way: str) -> set[str]:
+        """What the operator is for; calls others in a way, INVOKE_DEFAULT or EXEC_DEFAULT."""
+        raise NotImplementedError
+
+
+def refused(operator: bpy.types.Operator, context: bpy.types.Context, sentence: str) -> None:
+    """Report what the panel Notice says, unless it is seen: a pop-up would take the next click."""
+    areas = context.screen.areas if context.screen and not bpy.app.background else ()
+    regions = [r for area in areas if area.type == "VIEW_3D" for r in area.regions]
+    tabs = [r.active_panel_category for r in regions if r.type == "UI" and r.width > 1]
+    if _TAB not in tabs:
+        operator.report({"ERROR"}, sentence)
 
 
 def result_root(context: bpy.types.Context) -> Path:
@@ -25,78 +121,54 @@ def result_paths(context: bpy.types.Context) -> JobPaths:
     return JobPaths(result_root(context))
 
 
-def is_in_object_mode(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
-    """Whether objects can be replaced; where not, the tool-tip says what to do."""
-    if context.mode != "OBJECT":
-        operator.poll_message_set(told("Leave the present mode for Object Mode first"))
-        return False
-    return True
+def result_asset(context: bpy.types.Context) -> bpy.types.Object:
+    """The imported object of that result."""
+    asset = asset_of(result_root(context))
+    if asset is None:
+        raise ResultError("the object is not in this file; import the result again")
+    return asset
 
 
-_TAB = "RobIR"  # of the sidebar, where the panels are
+def in_object_mode(context: bpy.types.Context) -> str:
+    """Objects can be replaced."""
+    return "" if context.mode == "OBJECT" else told("Leave the present mode for Object Mode first")
 
 
-def refused(operator: bpy.types.Operator, context: bpy.types.Context, sentence: str) -> None:
-    """Report what the panel Notice says, unless it is seen: a pop-up would take the next click."""
-    areas = context.screen.areas if context.screen and not bpy.app.background else ()
-    regions = [r for area in areas if area.type == "VIEW_3D" for r in area.regions]
-    tabs = [r.active_panel_category for r in regions if r.type == "UI" and r.width > 1]
-    if _TAB not in tabs:
-        operator.report({"ERROR"}, sentence)
+def at_rest(context: bpy.types.Context) -> str:
+    """Nothing is at work."""
+    at_work = monitor.is_busy() or context.window_manager.robir.task
+    return told("Wait until the work at hand is done, or cancel it") if at_work else ""
 
 
-MixedIn = bpy.types.Operator if TYPE_CHECKING else object
-"""Base of what operators have in common, which counts on being mixed into one."""
+def may_choose(context: bpy.types.Context) -> str:
+    """A capture can be chosen: while the engine is installed or checked it can, and waits."""
+    return "" if is_engine_coming(context) else at_rest(context)
 
 
-class ResultOperator(MixedIn):
-    """Runs `work`, and turns what it raises into one sentence for the user."""
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Once a result is shown."""
-        if not context.scene.robir.result:
-            cls.poll_message_set(told("Import a result first"))
-            return False
-        return True
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        """Do the work at once."""
-        state = context.window_manager.robir
-        state.error = state.error_cure = ""
-        if not state.task:
-            state.message = ""  # what was said of the last click
-        try:
-            self.work(context)
-        except (AddonError, OSError) as error:
-            return self.refuse(context, told(error))
-        return {"FINISHED"}
-
-    def work(self, context: bpy.types.Context) -> None:
-        """What the operator is for.
-
-        Raises:
-            AddonError: With a sentence for the user.
-        """
-        raise NotImplementedError
-
-    def refuse(self, context: bpy.types.Context, sentence: str) -> set[str]:
-        """Say why nothing was done, here and in the panel."""
-        state = context.window_manager.robir
-        state.error, state.error_cure = problem_and_cure(sentence)
-        refused(self, context, sentence)
-        return {"CANCELLED"}
+def is_engine_coming(context: bpy.types.Context) -> bool:
+    """Whether the engine is being installed or checked."""
+    return context.window_manager.robir.task in ("install", "check_engine")
 
 
-class ImportedOperator(ResultOperator):
-    """Works on a result that is in the file."""
+def has_capture(context: bpy.types.Context) -> str:
+    """A capture is chosen."""
+    return "" if context.scene.robir.capture else told("Choose a capture first")
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Once the shown result was imported."""
-        if not super().poll(context):
-            return False
-        if world_of(mark_of(result_root(context))) is None:
-            cls.poll_message_set(told("The result is not in this file: import it again"))
-            return False
-        return True
+
+def has_engine(context: bpy.types.Context) -> str:
+    """There is an engine, by a look at its files."""
+    status = engine_status(context)
+    return "" if status.state == "ready" else f"{told(status.text)}: {told(status.cure)}"
+
+
+def has_result(context: bpy.types.Context) -> str:
+    """A result is shown."""
+    return "" if context.scene.robir.result else told("Import a result first")
+
+
+def is_imported(context: bpy.types.Context) -> str:
+    """The shown result was imported."""
+    if reason := has_result(context):
+        return reason
+    is_there = world_of(mark_of(result_root(context))) is not None
+    return "" if is_there else told("The result is not in this file: import it again")

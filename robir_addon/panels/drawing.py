@@ -16,6 +16,14 @@ class Panel:
     bl_category = "RobIR"
 
 
+class ResultPanel(Panel):
+    """Drawn once there is a result."""
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return bool(context.scene.robir.result)
+
+
 def preferences_button(layout: bpy.types.UILayout, text: str) -> None:
     """The button that leads to the choice of the engine."""
     button = layout.operator("preferences.addon_show", text=text, icon="PREFERENCES")

@@ -10,7 +10,8 @@ from pathlib import Path
 import bpy
 from bpy.props import CollectionProperty, StringProperty
 
-from ..operators.capture import may_choose, take_capture
+from ..operators.capture import take_capture
+from ..operators.shared import WaitingOperator, may_choose
 from ..words import told
 
 SUFFIXES = (".json", ".npz", ".npy", ".bin", ".txt", ".csv", ".xml", ".sfm")
@@ -20,14 +21,7 @@ _COLMAP = ("cameras", "images", "points3D", "rigs", "frames")
 
 
 def capture_folder(file: Path) -> Path | None:
-    """Capture that a file belongs to: the folder of photographs or poses, or a video itself.
-
-    Args:
-        file: A dropped file; only its name is looked at.
-
-    Returns:
-        The folder or video, or None where the file's name is none of a known format's.
-    """
+    """Capture that a file belongs to: the folder of photographs or poses, or a video itself."""
     folder, suffix, stem = file.parent, file.suffix.lower(), file.stem
     if suffix in (".bin", ".txt") and stem in _COLMAP:
         if folder.parent.name == "sparse":
@@ -47,33 +41,18 @@ def capture_folder(file: Path) -> Path | None:
     return folder if known or suffix in _PHOTOGRAPHS else None
 
 
-class ROBIR_OT_drop_capture(bpy.types.Operator):
-    """Take the capture that a dropped file belongs to, and look at it."""
+class ROBIR_OT_drop_capture(WaitingOperator, bpy.types.Operator):
+    """Take the capture that this file belongs to, show its cameras and check it."""
 
-    bl_idname = "robir.drop_capture"
     bl_label = "Take Capture"
-    bl_description = "Take the capture that this file belongs to, show its cameras and check it"
-    bl_options = {"REGISTER", "UNDO"}
+    needs = (may_choose,)
 
     directory: StringProperty(subtype="DIR_PATH", options={"HIDDEN", "SKIP_SAVE"})
     files: CollectionProperty(
         type=bpy.types.OperatorFileListElement, options={"HIDDEN", "SKIP_SAVE"}
     )
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Not while something is at work but the engine's installation."""
-        return may_choose(cls, context)
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Look without making the user wait."""
-        return self._take(context, "INVOKE_DEFAULT")
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        """Look and return when that is done."""
-        return self._take(context, "EXEC_DEFAULT")
-
-    def _take(self, context: bpy.types.Context, way: str) -> set[str]:
+    def begin(self, context: bpy.types.Context, way: str) -> set[str]:
         names = [file.name for file in self.files]
         folders = (capture_folder(Path(self.directory) / name) for name in names)
         folder = next((found for found in folders if found), None)
@@ -85,7 +64,7 @@ class ROBIR_OT_drop_capture(bpy.types.Operator):
             )
             self.report({"ERROR"}, told(text, name=", ".join(names[:1])))
             return {"CANCELLED"}
-        return take_capture(self, context, folder, way)
+        return take_capture(context, folder, way)
 
 
 class ROBIR_FH_capture(bpy.types.FileHandler):
@@ -98,8 +77,4 @@ class ROBIR_FH_capture(bpy.types.FileHandler):
 
     @classmethod
     def poll_drop(cls, context: bpy.types.Context) -> bool:
-        """Only where the capture can be shown."""
         return context.area is not None and context.area.type == "VIEW_3D"
-
-
-CLASSES = (ROBIR_OT_drop_capture, ROBIR_FH_capture)

@@ -22,11 +22,9 @@ class ROBIR_PT_known(Panel, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Once a capture is chosen."""
         return bool(context.scene.robir.capture)
 
     def draw(self, context: bpy.types.Context) -> None:
-        """What is open, what takes and forgets each thing that is known, and the way to use it."""
         layout, settings = self.layout, context.scene.robir
         summary = shown_summary(settings)
         if summary is not None and summary.brightness:
@@ -53,6 +51,3 @@ class ROBIR_PT_known(Panel, bpy.types.Panel):
             is_own = target_of(result_root(context)) is not None
             name = "robir.delight" if is_own else "robir.reconstruct"
             layout.operator(name, text="Find Light Again", icon="FILE_REFRESH")
-
-
-CLASSES = (ROBIR_PT_known,)

@@ -5,7 +5,7 @@ import bpy
 
 _IN_ORDER = (
     ("choose_capture", "try_sample", "look_at_capture", "leave_out", "add_box", "clear_capture"),
-    ("reconstruct", "delight", "cancel_reconstruct"),
+    ("reconstruct", "reconstruct_sample", "delight", "cancel_reconstruct"),
     ("run_batch", "stop_batch", "add_library"),
     ("import_result", "refresh_result", "remove_result"),
     ("pick_spot", "forget_spot", "take_sun", "forget_sun"),
@@ -24,7 +24,6 @@ class ROBIR_MT_commands(bpy.types.Menu):
     bl_label = "RobIR"
 
     def draw(self, context: bpy.types.Context) -> None:
-        """One group a panel, and the choices that a keyboard could not reach otherwise."""
         layout, settings = self.layout, context.scene.robir
         for group in _IN_ORDER:
             for name in group:
@@ -48,9 +47,6 @@ def _draw_in_view(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
 def _draw_in_import(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
     menu.layout.operator("robir.choose_capture", text="RobIR Capture (folder)")
     menu.layout.operator("robir.import_result", text="RobIR Result (folder)")
-
-
-CLASSES = (ROBIR_MT_commands,)
 
 
 def register() -> None:

@@ -17,7 +17,6 @@ class ROBIR_PT_notice(Panel, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Only while there is something to say."""
         state = context.window_manager.robir
         status = shown_engine_status(context)
         is_below = status.state != "ready" and state.error == told(status.text)
@@ -26,11 +25,9 @@ class ROBIR_PT_notice(Panel, bpy.types.Panel):
         return bool(state.error or (state.message and not state.task))
 
     def draw_header_preset(self, context: bpy.types.Context) -> None:
-        """The cross that puts it away."""
         self.layout.operator("robir.dismiss", text="", icon="X", emboss=False)
 
     def draw(self, context: bpy.types.Context) -> None:
-        """The sentence; for an error the cure, and what helps whoever is asked for help."""
         state, layout = context.window_manager.robir, self.layout
         if not state.error:
             paragraph(layout, context, state.message, "INFO")
@@ -51,13 +48,11 @@ class ROBIR_PT_no_engine(Panel, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Until there is an engine, once there are photographs for it."""
         at_work = context.window_manager.robir.task == "install"
         is_asked = at_work or context.scene.robir.capture or not context.scene.robir.result
         return bool(is_asked) and shown_engine_status(context).state != "ready"
 
     def draw(self, context: bpy.types.Context) -> None:
-        """What is missing, and the button that gets it."""
         status, box = shown_engine_status(context), self.layout.box()
         if context.window_manager.robir.task == "install":
             box.label(text="Installing the engine", icon="IMPORT")
@@ -69,6 +64,3 @@ class ROBIR_PT_no_engine(Panel, bpy.types.Panel):
         row = box.row(align=True)
         row.operator("robir.install_engine", text=install_text(context), icon="IMPORT")
         preferences_button(row, text="")
-
-
-CLASSES = (ROBIR_PT_notice, ROBIR_PT_no_engine)

@@ -8,7 +8,6 @@ this moment; Blender keeps it when it opens a file without its windows, so it is
 from pathlib import Path
 
 import bpy
-from bpy.app.handlers import persistent
 from bpy.props import (
     BoolProperty,
     CollectionProperty,
@@ -20,7 +19,7 @@ from bpy.props import (
     StringProperty,
 )
 
-from ..blocks import MARK
+from ..blocks import MARK, select_alone
 from ..errors import AddonError
 from ..operators.compare import draw_again
 from ..relighting.lights import choose_light, shown_light, turn_light, use_lamps, world_of
@@ -263,10 +262,7 @@ def _show_result(settings: ROBIR_PG_settings, number: int) -> None:
     settings.result = _result_items(settings)[number][0]
     asset, layer = asset_of(Path(settings.result)), bpy.context.view_layer
     if asset is not None and asset.name in layer.objects:
-        for other in list(layer.objects.selected):
-            other.select_set(False)
-        asset.select_set(True)
-        layer.objects.active = asset
+        select_alone(layer, asset)
 
 
 def _shown_number(settings: ROBIR_PG_settings) -> int:
@@ -330,27 +326,24 @@ class ROBIR_PG_state(bpy.types.PropertyGroup):
     preview_serial: IntProperty(description="Goes up when the preview picture was read again")
 
 
-CLASSES = (ROBIR_PG_finding, ROBIR_PG_photograph, ROBIR_PG_settings, ROBIR_PG_state)
-
-
 def register() -> None:
     """Attach the groups to scenes and to the window manager."""
     bpy.types.Scene.robir = PointerProperty(type=ROBIR_PG_settings)
     bpy.types.WindowManager.robir = PointerProperty(
         type=ROBIR_PG_state, options={"HIDDEN", "SKIP_SAVE"}
     )
-    bpy.app.handlers.load_post.append(_forget_state)
 
 
 def unregister() -> None:
     """Detach the groups; what files have saved stays in them."""
-    bpy.app.handlers.load_post.remove(_forget_state)
     del bpy.types.WindowManager.robir
     del bpy.types.Scene.robir
 
 
-@persistent
 def _forget_state(*_: object) -> None:
     """Empty the state: it speaks of the capture of the file that was open before."""
     for manager in bpy.data.window_managers:
         manager.property_unset("robir")
+
+
+HANDLERS = (("load_post", _forget_state),)

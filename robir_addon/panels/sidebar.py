@@ -13,6 +13,7 @@ from ..capture.photographs import draw_photographs
 from ..capture.recent import recent_captures
 from ..capture.viewport import COLLECTION
 from ..operators.photographs import can_leave_out
+from ..operators.sample import is_sample
 from ..paragraphs import paragraph
 from ..preferences import install_text
 from ..relighting.lights import strength_of
@@ -21,7 +22,7 @@ from ..result.summary import shown_summary
 from ..words import words
 from ..work import batch, growth
 from ..work.worker import shown_box
-from .drawing import Panel, big, preferences_button, progress, split
+from .drawing import Panel, ResultPanel, big, preferences_button, progress, split
 
 _MOST_RECENT = 3  # captures; File > Import has all folders
 _FAULT_ICONS = {"error": "CANCEL", "warning": "ERROR"}
@@ -41,7 +42,6 @@ class ROBIR_PT_capture(Panel, bpy.types.Panel):
     bl_label = "Capture"
 
     def draw(self, context: bpy.types.Context) -> None:
-        """The first step, or what came of it."""
         layout, settings = self.layout, context.scene.robir
         if not _is_over(context):
             _draw_capture(layout, context)
@@ -59,8 +59,8 @@ def _draw_capture(layout: bpy.types.UILayout, context: bpy.types.Context) -> Non
     """Choose a folder; then its name and what is in it."""
     settings, state = context.scene.robir, context.window_manager.robir
     if not settings.capture:
+        big(layout).operator("robir.try_sample", icon="OUTLINER_OB_IMAGE")
         big(layout).operator("robir.choose_capture", icon="FILE_FOLDER")
-        layout.operator("robir.try_sample", icon="OUTLINER_OB_IMAGE")
         text = "Or drop a photograph, a video or a file of camera poses into the viewport"
         paragraph(layout, context, words(text), "INFO")
         for capture in recent_captures()[:_MOST_RECENT]:
@@ -104,11 +104,9 @@ class ROBIR_PT_check(Panel, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Once a capture was looked at."""
         return not _is_over(context) and _has_findings(context)
 
     def draw(self, context: bpy.types.Context) -> None:
-        """All findings."""
         _draw_check(self.layout, context)
 
 
@@ -142,12 +140,10 @@ class ROBIR_PT_reconstruct(Panel, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Once there are photographs, or while the work goes on."""
         at_work = context.window_manager.robir.task == "reconstruct"
         return at_work or (bool(context.scene.robir.capture) and not _is_over(context))
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Choices while nothing runs, progress while it does."""
         if context.window_manager.robir.task == "reconstruct":
             self._draw_running(context)
         else:
@@ -173,24 +169,21 @@ def _draw_choices(layout: bpy.types.UILayout, context: bpy.types.Context) -> Non
     layout.operator("robir.delight", icon="SHADING_TEXTURE")
 
 
-class ROBIR_PT_result(Panel, bpy.types.Panel):
+class ROBIR_PT_result(ResultPanel, bpy.types.Panel):
     """What came out, beside what went in."""
 
     bl_label = "Result"
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Once there is a result."""
-        return bool(context.scene.robir.result)
-
     def draw(self, context: bpy.types.Context) -> None:
-        """The results, what the shown one's report says, and ways to look at it."""
         layout, settings = self.layout, context.scene.robir
         row = layout.row(align=True)
         row.prop(settings, "shown", text="")
         row.operator("robir.import_result", text="", icon="FILEBROWSER")
-        row.operator("robir.refresh_result", text="", icon="FILE_REFRESH")
+        if not is_sample(settings.result):
+            row.operator("robir.refresh_result", text="", icon="FILE_REFRESH")
         row.operator("robir.remove_result", text="", icon="X")
+        if is_sample(settings.result):
+            big(layout).operator("robir.reconstruct_sample", icon="PLAY")
         row = layout.row(align=True)
         row.operator("robir.compare", icon="IMAGE_REFERENCE")
         row.operator("robir.open_report", icon="URL")
@@ -211,19 +204,13 @@ class ROBIR_PT_result(Panel, bpy.types.Panel):
                 paragraph(body, context, warning)
 
 
-class ROBIR_PT_place(Panel, bpy.types.Panel):
+class ROBIR_PT_place(ResultPanel, bpy.types.Panel):
     """The result in its real size, and what is not wanted of it."""
 
     bl_label = "Size and Place"
     bl_options = {"DEFAULT_CLOSED"}
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Once there is a result."""
-        return bool(context.scene.robir.result)
-
     def draw(self, _context: bpy.types.Context) -> None:
-        """Two buttons that move all, two that delete parts."""
         column = self.layout.column(align=True)
         column.operator("robir.set_real_size", icon="DRIVER_DISTANCE")
         column.operator("robir.stand_on_floor", icon="TRIA_DOWN_BAR")
@@ -232,18 +219,12 @@ class ROBIR_PT_place(Panel, bpy.types.Panel):
         column.operator("robir.crop_to_box", icon="MESH_CUBE")
 
 
-class ROBIR_PT_relight(Panel, bpy.types.Panel):
+class ROBIR_PT_relight(ResultPanel, bpy.types.Panel):
     """The recovered light, or another."""
 
     bl_label = "Relight"
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Once there is a result."""
-        return bool(context.scene.robir.result)
-
     def draw(self, context: bpy.types.Context) -> None:
-        """Lights to choose from, how they are turned, and a film of that."""
         layout, settings = self.layout, context.scene.robir
         strength, task = strength_of(context.scene), context.window_manager.robir.task
         row = layout.row(align=True)
@@ -272,18 +253,12 @@ class ROBIR_PT_relight(Panel, bpy.types.Panel):
             body.operator("robir.turntable", icon="RENDER_ANIMATION")
 
 
-class ROBIR_PT_export(Panel, bpy.types.Panel):
+class ROBIR_PT_export(ResultPanel, bpy.types.Panel):
     """The result in files for other programs."""
 
     bl_label = "Export"
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Once there is a result."""
-        return bool(context.scene.robir.result)
-
     def draw(self, context: bpy.types.Context) -> None:
-        """The file that most programs read, and a list of the others."""
         row = self.layout.row(align=True)
         row.operator("robir.export_glb", icon="FILE_3D")
         row.menu("ROBIR_MT_exports", text="Other Files")
@@ -295,7 +270,6 @@ class ROBIR_MT_exports(bpy.types.Menu):
     bl_label = "Other Files"
 
     def draw(self, _context: bpy.types.Context) -> None:
-        """One entry a kind."""
         for name in ("export_usd", "export_textures", "mark_asset"):
             self.layout.operator(f"robir.{name}")
 
@@ -307,7 +281,6 @@ class ROBIR_PT_library(Panel, bpy.types.Panel):
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
-        """The folder, what is at work, and what failed or waits, one line each."""
         layout, known = self.layout, batch.shown()
         split(layout).prop(context.scene.robir, "library")
         row = big(layout)
@@ -338,7 +311,6 @@ class ROBIR_PT_engine(Panel, bpy.types.Panel):
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
-        """What the last check said, and what can be done."""
         layout, state = self.layout, context.window_manager.robir
         if state.engine_text:
             icon = "CHECKMARK" if state.engine_ok else "ERROR"
@@ -371,17 +343,3 @@ def _is_looked_at(context: bpy.types.Context) -> bool:
 
 def _name(folder: str) -> str:
     return Path(bpy.path.abspath(folder)).name
-
-
-CLASSES = (
-    ROBIR_MT_exports,
-    ROBIR_PT_capture,
-    ROBIR_PT_check,
-    ROBIR_PT_reconstruct,
-    ROBIR_PT_result,
-    ROBIR_PT_place,
-    ROBIR_PT_relight,
-    ROBIR_PT_export,
-    ROBIR_PT_library,
-    ROBIR_PT_engine,
-)

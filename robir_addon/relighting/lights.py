@@ -38,17 +38,7 @@ _TOWARDS = "robir_towards_light"
 
 
 def add_lamps(lamps: list[dict[str, Any]], name: str, mark: str) -> list[bpy.types.Object]:
-    """Sun lamps, not yet linked to a collection.
-
-    Args:
-        lamps: The "sun_lamps" of light.json.
-        name: Name of the result.
-        mark: Result folder they belong to.
-
-    Returns:
-        One object a lamp. Blender's strength of a Sun lamp is the irradiance of a surface that
-        faces it, whatever the lamp's angle.
-    """
+    """Sun lamps of light.json, not linked; their strength is irradiance, whatever the angle."""
     made = []
     for lamp in lamps:
         data = bpy.data.lights.new(f"{name} sun", "SUN")
@@ -97,15 +87,7 @@ def make_world(name: str, paths: JobPaths, mark: str) -> bpy.types.World:
 
 
 def refresh_world(world: bpy.types.World, paths: JobPaths) -> None:
-    """Read the recovered light anew; nodes, strength and another chosen light stay.
-
-    Args:
-        world: One that `make_world` made.
-        paths: Of its result folder.
-
-    Raises:
-        ResultError: If a file is missing or damaged.
-    """
+    """Read the recovered light anew; nodes, strength and another chosen light stay."""
     reload_image(world[_WHOLE])
     if not paths.environment_without_sun.is_file():
         _forget_sun(world)
@@ -152,13 +134,7 @@ def lamps_of(mark: str) -> list[bpy.types.Object]:
 def show_recovered_light(
     scene: bpy.types.Scene, world: bpy.types.World, use_sun_lamp: bool
 ) -> None:
-    """Light the scene as the photographs were.
-
-    Args:
-        scene: Scene to light; its own World is remembered.
-        world: One that `make_world` made.
-        use_sun_lamp: Whether a recovered sun is a lamp or part of the environment.
-    """
+    """Light the scene as the photographs were."""
     without = world.get(_WITHOUT_SUN)
     as_lamp = use_sun_lamp and without is not None and bool(lamps_of(world[MARK]))
     _show(scene, world, without if as_lamp else world[_WHOLE])
@@ -166,16 +142,7 @@ def show_recovered_light(
 
 
 def show_environment(scene: bpy.types.Scene, world: bpy.types.World, file: Path) -> None:
-    """Light the scene with another lat-long image, and with no lamp of ours.
-
-    Args:
-        scene: Scene to light; its own World is remembered.
-        world: One that `make_world` made.
-        file: .exr or .hdr, linear Rec.709.
-
-    Raises:
-        ResultError: If the file is missing or damaged.
-    """
+    """Light the scene with another lat-long image, and with no lamp of ours."""
     picture = _node(world, "TEX_ENVIRONMENT").image
     if picture is None or environment_file(world) != file:
         picture = load_image(file, "Linear Rec.709", world[MARK])
@@ -184,11 +151,7 @@ def show_environment(scene: bpy.types.Scene, world: bpy.types.World, file: Path)
 
 
 def found_environment(given: Path) -> Path:
-    """The file, or one of the maps that Blender ships where only a name such as `city` is given.
-
-    Raises:
-        RequestError: If there is neither.
-    """
+    """The file, or one of the maps that Blender ships where only a name such as `city` is given."""
     if given.is_file():
         if given.suffix.lower() not in (".exr", ".hdr"):
             raise RequestError(
@@ -230,16 +193,7 @@ def shown_light(scene: bpy.types.Scene) -> str:
 
 
 def choose_light(scene: bpy.types.Scene, world: bpy.types.World, light: str) -> None:
-    """Light a scene by one of the lights to choose from, turned as its settings say.
-
-    Args:
-        scene: Scene to light.
-        world: One that `make_world` made.
-        light: Stem of a map that Blender ships, path of another; empty for the recovered light.
-
-    Raises:
-        AddonError: If the file is missing or damaged.
-    """
+    """Light a scene by the stem of a shipped map, a path, or "" (recovered), turned as set."""
     if light:
         show_environment(scene, world, found_environment(Path(light)))
     else:

@@ -41,11 +41,7 @@ class ToneTable:
 
 
 def read_tone_table(path: Path) -> ToneTable:
-    """Read a tone_curve.cube of RobIR's.
-
-    Raises:
-        ResultError: If the file is missing or damaged.
-    """
+    """Read a tone_curve.cube of RobIR's."""
     header: dict[str, list[str]] = {}
     rows = []
     try:

@@ -25,14 +25,7 @@ _items: dict[str, list[tuple[str, str, str, int, int]]] = {}
 
 
 def light_pictures(result: str) -> dict[str, int]:
-    """Icons by the light's stem, "" the recovered light's; touches no file.
-
-    Args:
-        result: Result folder, as the settings have it.
-
-    Returns:
-        Nothing where no pictures were rendered.
-    """
+    """Icons by the light's stem, "" the recovered light's; touches no file."""
     icons = _known.get(bpy.path.abspath(result), {})
     return {stem: icons[stem].icon_id for stem, _, _ in SHOWN_LIGHTS if stem in icons}
 

@@ -55,13 +55,7 @@ def set_threads(scene: bpy.types.Scene) -> None:
 
 
 def render_still(scene: bpy.types.Scene, path: Path, table: ToneTable | None = None) -> None:
-    """Render the scene's camera to an RGBA PNG as displayed; the file appears whole.
-
-    Args:
-        scene: Scene to render.
-        path: File to replace.
-        table: Tone curve to show it through; None for the scene's view transform.
-    """
+    """Render the camera to a PNG by a tone curve, or the view transform; the file appears whole."""
     settings = scene.render.image_settings
     if hasattr(settings, "media_type"):  # Blender 5: must come before the file format
         settings.media_type = "IMAGE"
@@ -89,11 +83,7 @@ def cut_short(path: Path) -> OSError:
 
 
 def _strip(path: Path) -> None:
-    """Take Blender's notes out of a PNG: whose folder it was rendered in, when, and how long.
-
-    Raises:
-        OSError: If it does not end as a whole one does; Blender may not notice a full disk.
-    """
+    """Take Blender's notes out of a PNG: whose folder it was rendered in, when, and how long."""
     content = path.read_bytes()
     if not content.endswith(_END):
         raise cut_short(path)
@@ -129,12 +119,7 @@ def _develop(raw: Path, path: Path, table: ToneTable) -> None:
 
 
 def write_film(frames: list[Path], path: Path) -> None:
-    """Join PNG frames to an H.264 film with Blender's own ffmpeg; the file appears whole.
-
-    Args:
-        frames: Pictures of one size, in order; transparent parts become black.
-        path: .mp4 to write.
-    """
+    """Join PNG frames to an H.264 film with Blender's own ffmpeg; the file appears whole."""
     temporary = path.with_name(f".{path.stem}-{os.getpid()}{path.suffix}")
     scene = bpy.data.scenes.new("film")
     try:

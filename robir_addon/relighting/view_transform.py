@@ -10,15 +10,7 @@ from ..words import told
 
 
 def match_view_transform(scene: bpy.types.Scene, tone_curve: dict[str, Any]) -> tuple[str, ...]:
-    """Show the scene as the photographs do.
-
-    Args:
-        scene: Scene whose colour management is set.
-        tone_curve: Contents of tone_curve.json.
-
-    Returns:
-        A sentence where this Blender has no such curve.
-    """
+    """Show the scene as the photographs do; a sentence where this Blender has no such curve."""
     wanted, settings = tone_curve["blender_view_transform"], scene.view_settings
     settings.look = "None"
     settings.exposure = tone_curve["exposure"]

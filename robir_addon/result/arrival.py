@@ -7,7 +7,7 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
-from ..blocks import MARK
+from ..blocks import MARK, select_alone
 from ..capture.framing import frame
 from ..capture.startup import put_aside
 from ..gateway import JobPaths
@@ -18,18 +18,7 @@ from .importer import asset_of, import_result, read_tone_curve
 
 
 def bring_in(context: bpy.types.Context, root: Path) -> list[str]:
-    """Import a result and make it the shown one; one that is new is selected and framed.
-
-    Args:
-        context: Scene, and in a window the viewports to frame it in.
-        root: Result folder, absolute.
-
-    Returns:
-        Sentences for the user.
-
-    Raises:
-        ResultError: If the folder holds no finished export; then nothing has changed.
-    """
+    """Import a result and show it; a new one is selected and framed. What to tell the user."""
     scene = context.scene
     settings = scene.robir
     curve = read_tone_curve(JobPaths(root))
@@ -42,10 +31,7 @@ def bring_in(context: bpy.types.Context, root: Path) -> list[str]:
         return [told(text, name=imported.asset.name)]
     settings.rotation = 0.0
     context.view_layer.update()  # else Blender 5 lists objects that are gone
-    for selected in list(context.view_layer.objects.selected):
-        selected.select_set(False)
-    imported.asset.select_set(True)
-    context.view_layer.objects.active = imported.asset
+    select_alone(context.view_layer, imported.asset)
     hidden = put_aside(scene, context.view_layer)
     corners = [imported.asset.matrix_world @ Vector(c) for c in imported.asset.bound_box]
     centre = Vector(np.mean(corners, axis=0))

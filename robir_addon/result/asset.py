@@ -23,16 +23,7 @@ _SIMPLE_NAME_BYTES = 64
 
 
 def make_asset(asset: bpy.types.Object, paths: JobPaths, *, is_packed: bool = True) -> None:
-    """Mark an object as an asset, with what is known of it and a picture; saves nothing.
-
-    Args:
-        asset: The imported object.
-        paths: Of its result folder.
-        is_packed: Whether its textures are packed, so that it is whole wherever its file goes.
-
-    Raises:
-        ResultError: If the result folder says nothing about the run.
-    """
+    """Mark an object as an asset, with what is known of it and a picture; saves nothing."""
     run = read_run(paths)
     facts = {"preset": run["preset"], "device": run["device"], "seed": run["seed"]}
     table = read_cameras(paths)
@@ -78,12 +69,7 @@ def fill_simple_name(data: bpy.types.AssetMetaData) -> None:
 
 
 def leave_machine(paths: JobPaths, mark: str | None) -> None:
-    """Take out what names folders of this machine, which its user's name is often part of.
-
-    Args:
-        paths: Of the result.
-        mark: What data-blocks are marked with from now on; None for nothing.
-    """
+    """Take out what names folders of this machine and so its user; marks become `mark`."""
     for block in bpy.data.user_map():
         if MARK in block and mark is None:
             del block[MARK]

@@ -78,16 +78,7 @@ class RenderedView:
 
 
 def rendered_view(paths: JobPaths, table: dict[str, Any], view: str = "") -> RenderedView:
-    """The re-render of a view, by Cycles where there is one, else by the solver.
-
-    Args:
-        paths: Of the result folder.
-        table: Contents of cameras.json.
-        view: Name of the view; "" takes the first one that Cycles rendered, else the first.
-
-    Raises:
-        ResultError: If no such view was rendered again, or a file is damaged.
-    """
+    """The re-render of a view ("": the first there is), by Cycles, else by the solver."""
     own, cycles = _own_renders(paths), _cycles_renders(paths)
     views = {entry["name"]: entry for entry in table["views"]}
     rendered = [*_in_order(views, cycles), *_in_order(views, own)]
@@ -103,11 +94,7 @@ def rendered_view(paths: JobPaths, table: dict[str, Any], view: str = "") -> Ren
 
 
 def neighbour(paths: JobPaths, table: dict[str, Any], view: str, step: int) -> str:
-    """The view some steps farther among those that were rendered again, round and round.
-
-    Raises:
-        ResultError: If a file is damaged.
-    """
+    """The view some steps farther among those that were rendered again, round and round."""
     views = [entry["name"] for entry in table["views"]]
     known = _in_order(views, {**_own_renders(paths), **_cycles_renders(paths)})
     return known[(known.index(view) + step) % len(known)] if view in known else view
@@ -118,16 +105,7 @@ def _in_order(views: Iterable[str], rendered: Mapping[str, object]) -> list[str]
 
 
 def compare(paths: JobPaths, table: dict[str, Any], view: str = "") -> Comparison:
-    """Put the pictures of a view beside each other, cut to the object.
-
-    Args:
-        paths: Of the result folder.
-        table: Contents of cameras.json.
-        view: Name of the view; "" takes the first one that was rendered again.
-
-    Raises:
-        ResultError: If no such view was rendered again, or a file is missing.
-    """
+    """Put the pictures of a view ("": the first) beside each other, cut to the object."""
     again = rendered_view(paths, table, view)
     entry = again.entry
     longer = max(entry["width"], entry["height"])

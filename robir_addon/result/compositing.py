@@ -21,13 +21,7 @@ _REACH = 20.0
 def set_stage(
     context: bpy.types.Context, asset: bpy.types.Object, ground: Mapping[str, Any] | None
 ) -> None:
-    """Lay the ground, and look through a camera of the photographs.
-
-    Args:
-        context: Scene, and in a window the viewports.
-        asset: The imported object.
-        ground: "normal" and "offset" of the plane it stands on, capture frame, if there is one.
-    """
+    """Lay a ground of the capture's frame, and look through a camera of the photographs."""
     scene = context.scene
     own = [c for c in capture_cameras(scene) if c[MARK] == asset[MARK]]
     camera = next((c for c in (context.object, scene.camera) if c in own), own[0] if own else None)

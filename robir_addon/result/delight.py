@@ -42,19 +42,7 @@ _GEOMETRY = {"metrics": {"layout": str}}
 
 
 def mesh_file(target: bpy.types.Object, settings: bpy.types.PropertyGroup, result: Path) -> Path:
-    """Write an object as it stands in the scene, modifiers included, beside a result folder.
-
-    Args:
-        target: Mesh object.
-        settings: Of the scene; they say how the viewport shows the capture's frame.
-        result: Folder that a reconstruction of the same capture would go to.
-
-    Returns:
-        The file, named after its contents: the same object always goes to the same file.
-
-    Raises:
-        RequestError: If the object has no faces.
-    """
+    """Write an object as it stands in the scene, modifiers included, beside a result folder."""
     points, uvs = _corners(target)
     points = (points - np.array(settings.view_shift)) / settings.view_scale
     if not len(points):
@@ -108,11 +96,7 @@ def target_of(root: Path) -> bpy.types.Object | None:
 
 
 def has_own_layout(root: Path) -> bool:
-    """Whether textures were made for the texture coordinates that the user's mesh brought.
-
-    Raises:
-        ResultError: If the result folder does not tell.
-    """
+    """Whether textures were made for the texture coordinates that the user's mesh brought."""
     file = JobPaths(Path(mark_of(root))).manifest("geometry")
     try:
         layout = read_record(file, _GEOMETRY)["metrics"]["layout"]
@@ -122,18 +106,7 @@ def has_own_layout(root: Path) -> bool:
 
 
 def give_back(context: bpy.types.Context, root: Path) -> list[str]:
-    """Give the object its new material and the scene the recovered light.
-
-    Args:
-        context: Scene, and in a window its viewports.
-        root: Result folder, absolute.
-
-    Returns:
-        Sentences for the user.
-
-    Raises:
-        ResultError: If the folder holds no finished export; then nothing has changed.
-    """
+    """Give the object its new material and the scene the recovered light."""
     target, mark, scene = target_of(root), mark_of(root), context.scene
     assert target is not None
     paths = JobPaths(Path(mark))

@@ -49,11 +49,7 @@ class GlbMesh:
 
 
 def read_glb(path: Path) -> GlbMesh:
-    """Read an asset.
-
-    Raises:
-        ResultError: If the file is missing, damaged or not RobIR's.
-    """
+    """Read an asset."""
     try:
         document, binary = _chunks(path.read_bytes())
         mesh = document["meshes"][0]

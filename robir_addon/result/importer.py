@@ -55,15 +55,7 @@ _RUN = {"preset": str, "device": str, "seed": int}
 
 @dataclass(frozen=True)
 class Imported:
-    """What an import made.
-
-    Attributes:
-        collection: Holds the object and the lamps, and a collection of the cameras.
-        asset: The reconstructed object.
-        cameras: One camera object a view, by the view's name.
-        lamps: Sun lamps, if the light has suns; hidden where the environment holds them.
-        world: The recovered light.
-    """
+    """What an import made: the light's suns are hidden where the environment holds them."""
 
     collection: bpy.types.Collection
     asset: bpy.types.Object
@@ -78,19 +70,9 @@ def mark_of(root: Path) -> str:
 
 
 def import_result(root: Path, scene: bpy.types.Scene, *, use_sun_lamp: bool = True) -> Imported:
-    """Import a finished result folder.
+    """Import a finished result folder; view transform and camera of the scene stay as they are.
 
-    Args:
-        root: The result folder, OUT of `robir reconstruct`.
-        scene: Scene to put it into. Its view transform stays as it is, and so does its camera
-            if it has one.
-        use_sun_lamp: Give a recovered sun as a lamp; otherwise it is part of the environment.
-
-    Returns:
-        What was made.
-
-    Raises:
-        ResultError: If the folder holds no finished export; then nothing has changed.
+    A recovered sun is a lamp, or part of the environment. After an error nothing has changed.
     """
     mark = mark_of(root)
     paths = JobPaths(Path(mark))
@@ -126,16 +108,7 @@ def import_result(root: Path, scene: bpy.types.Scene, *, use_sun_lamp: bool = Tr
 
 
 def import_light(root: Path, scene: bpy.types.Scene, *, use_sun_lamp: bool) -> None:
-    """Bring the recovered light of a finished result folder into a scene, without its object.
-
-    Args:
-        root: The result folder.
-        scene: Scene to light.
-        use_sun_lamp: As for `import_result`.
-
-    Raises:
-        ResultError: If the folder holds no finished export; then nothing has changed.
-    """
+    """Bring the recovered light of a finished result folder into a scene, without its object."""
     mark = mark_of(root)
     paths = JobPaths(Path(mark))
     if fault := special_fault(paths.root):
@@ -256,9 +229,6 @@ def read_cameras(paths: JobPaths) -> dict[str, Any]:
     """Contents of cameras.json: "views" with fit names and pictures of the result's own, "bounds".
 
     Where the mesh shows flat ground, also "ground".
-
-    Raises:
-        ResultError: If it is missing or damaged, or names what lies outside the result.
     """
     table = _read(paths.cameras, _CAMERAS)
     for view in table["views"]:
@@ -279,20 +249,12 @@ def read_cameras(paths: JobPaths) -> dict[str, Any]:
 
 
 def read_tone_curve(paths: JobPaths) -> dict[str, Any]:
-    """Contents of tone_curve.json, as far as Blender is concerned.
-
-    Raises:
-        ResultError: If it is missing or damaged.
-    """
+    """Contents of tone_curve.json, as far as Blender is concerned."""
     return _read(paths.tone_curve, _TONE_CURVE)
 
 
 def read_run(paths: JobPaths) -> dict[str, Any]:
-    """Contents of run.json, as far as an asset is concerned.
-
-    Raises:
-        ResultError: If it is missing or damaged.
-    """
+    """Contents of run.json, as far as an asset is concerned."""
     return _read(paths.run, _RUN)
 
 

@@ -27,14 +27,7 @@ _OUTSIDE = 1e-4
 
 
 def textured_object(root: Path) -> bpy.types.Object:
-    """The object that shows a result's textures: the imported one, or the user's own.
-
-    Args:
-        root: Result folder, absolute.
-
-    Raises:
-        ResultError: If it is not in the file.
-    """
+    """The object that shows a result's textures: the imported one, or the user's own."""
     shown = asset_of(root)
     if shown is None:
         target = target_of(root)
@@ -45,18 +38,7 @@ def textured_object(root: Path) -> bpy.types.Object:
 
 
 def texel_at(shown: bpy.types.Object, place: Sequence[float]) -> tuple[float, float]:
-    """Where on the texture the point of an object lies that is nearest to a place.
-
-    Args:
-        shown: Mesh object, seen as it stands in the scene, modifiers included.
-        place: World.
-
-    Returns:
-        u and v, over UDIM tiles if there are such, else 0 to 1; v upwards.
-
-    Raises:
-        RequestError: If the place is far from the object, or the object has no texture there.
-    """
+    """Texture coordinates, v upwards, of the point of an object nearest to a place, world."""
     if not shown.visible_get():
         raise _without_surface(shown)
     graph = bpy.context.evaluated_depsgraph_get()
@@ -137,13 +119,6 @@ def sun_direction(lamp: bpy.types.Object, shown: bpy.types.Object | None) -> Vec
 
     The capture's own frame is that of the imported object: where the user has turned it, the lamp
     is taken to shine on it as it stands now. Scale and shift of the view turn nothing.
-
-    Args:
-        lamp: Sun lamp, which shines along its -z axis.
-        shown: The imported object; None where there is none or the capture's frame is the world.
-
-    Returns:
-        (3,) unit vector, capture frame.
     """
     bpy.context.view_layer.update()  # a script may have turned either just now
     towards = lamp.matrix_world.to_quaternion() @ Vector((0.0, 0.0, 1.0))

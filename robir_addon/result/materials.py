@@ -53,16 +53,7 @@ def add_asset(mesh: GlbMesh, name: str, paths: JobPaths, mark: str) -> bpy.types
 
 
 def refresh_asset(asset: bpy.types.Object, mesh: GlbMesh, paths: JobPaths) -> None:
-    """Give the object a newer mesh and newer pictures; all else about it is the user's and stays.
-
-    Args:
-        asset: The imported object.
-        mesh: The newer mesh.
-        paths: Of its result folder.
-
-    Raises:
-        ResultError: If a texture is missing or damaged; then the object is as it was.
-    """
+    """Give the object a newer mesh and newer pictures; all else is the user's and stays."""
     mark, before = asset[MARK], asset.data
     refresh_pictures(paths, mark)
     data = _mesh(mesh, mark)
@@ -122,17 +113,7 @@ def _digest(data: bpy.types.Mesh) -> str:
 
 
 def new_material(name: str, specular: float, paths: JobPaths, mark: str) -> bpy.types.Material:
-    """Principled material from the texture files of a result.
-
-    Args:
-        name: Its name.
-        specular: Share of the reflection that an IOR of 1.5, Blender's default, has.
-        paths: Of the result folder.
-        mark: What its data-blocks are marked with.
-
-    Raises:
-        ResultError: If a texture is missing or damaged.
-    """
+    """Principled material from the texture files of a result."""
     material = bpy.data.materials.new(name)
     material[MARK] = mark
     enable_nodes(material)
@@ -146,11 +127,7 @@ def new_material(name: str, specular: float, paths: JobPaths, mark: str) -> bpy.
 
 
 def refresh_pictures(paths: JobPaths, mark: str) -> None:
-    """Read the texture files of a newer result, those too that the former one did without.
-
-    Raises:
-        ResultError: If a texture is missing or damaged.
-    """
+    """Read the texture files of a newer result, those too that the former one did without."""
     known = {_file(image): image for image in with_mark(bpy.data.images, mark)}
     for file, _, space in texture_sockets(paths):
         if file in known:
@@ -160,13 +137,7 @@ def refresh_pictures(paths: JobPaths, mark: str) -> None:
 
 
 def refresh_material(material: bpy.types.Material, specular: float, paths: JobPaths) -> None:
-    """Give the material what the newer result has more, take what it lacks, and keep edits.
-
-    Args:
-        material: As `new_material` made it and the user has left it; any other stays as it is.
-        specular: As for `new_material`.
-        paths: Of the result folder, whose pictures `refresh_pictures` has read.
-    """
+    """Give the material what the newer result has more, take what it lacks, and keep edits."""
     shader = _principled(material) if _FED in material else None
     if shader is None:  # a material of the user's own
         return

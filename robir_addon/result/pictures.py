@@ -10,11 +10,7 @@ from ..blocks import MARK, load_image
 
 
 def read_codes(file: Path) -> np.ndarray:
-    """An 8-bit picture file as it is stored, (H, W, 4).
-
-    Raises:
-        ResultError: If it is missing or damaged.
-    """
+    """An 8-bit picture file as it is stored, (H, W, 4)."""
     image = load_image(file, "Non-Color", "")  # the numbers as they are
     try:
         width, height = image.size
@@ -26,13 +22,7 @@ def read_codes(file: Path) -> np.ndarray:
 
 
 def put_image(name: str, codes: np.ndarray, mark: str) -> bpy.types.Image:
-    """An image of the file with these codes; one of the same name and kind is overwritten.
-
-    Args:
-        name: Of the data-block; editors that show it show the new picture.
-        codes: (H, W, 4).
-        mark: Result folder it belongs to.
-    """
+    """Make codes (H, W, 4) an image of a result; editors that show it show the new picture."""
     height, width = codes.shape[:2]
     image = bpy.data.images.get(name)
     if image is None or image.source != "GENERATED" or MARK not in image:

@@ -90,12 +90,9 @@ def _foot(asset: bpy.types.Object, ground: Mapping[str, Any] | None) -> Vector:
 
 
 def drop_ground(asset: bpy.types.Object, ground: Mapping[str, Any], most: float) -> None:
-    """Delete the ground and what then hangs on nothing; what stood on the floor stands again.
+    """Delete what reaches at most so high above a plane, capture frame, and what hangs on nothing.
 
-    Args:
-        asset: The imported object.
-        ground: "normal" and "offset" of its plane, capture frame.
-        most: Height above it up to which all is ground, capture's unit.
+    What stood on the floor stands again.
     """
     delete_faces(asset, faces_of_ground(asset, ground, most))
     crumbs = _crumbs(asset)
@@ -126,16 +123,7 @@ def move_again(asset: bpy.types.Object, others: Sequence[bpy.types.Object]) -> N
 
 
 def faces_of_ground(asset: bpy.types.Object, ground: Mapping[str, Any], most: float) -> np.ndarray:
-    """Which faces are ground: those that reach no higher above its plane than so much.
-
-    Args:
-        asset: The imported object.
-        ground: "normal" and "offset" of the plane, capture frame.
-        most: Height, capture's unit.
-
-    Returns:
-        (F,) bool.
-    """
+    """Faces (F,) that reach at most so high above a plane; capture frame and unit."""
     scale, *shift = asset.get(_FITTED, _SAME)
     height = ((_corners(asset) - shift) / scale) @ np.asarray(ground["normal"])
     height -= ground["offset"]
@@ -143,12 +131,7 @@ def faces_of_ground(asset: bpy.types.Object, ground: Mapping[str, Any], most: fl
 
 
 def faces_outside(asset: bpy.types.Object, box: bpy.types.Object) -> np.ndarray:
-    """Which faces have their middle outside a box, (F,) bool.
-
-    Args:
-        asset: The imported object.
-        box: Empty, whose size and place are the box, or mesh, whose bounds are.
-    """
+    """Faces (F,) whose middle is outside the size of an empty or the bounds of a mesh."""
     if box.type == "EMPTY":
         low, high = np.full(3, -box.empty_display_size), np.full(3, box.empty_display_size)
     else:
@@ -160,11 +143,7 @@ def faces_outside(asset: bpy.types.Object, box: bpy.types.Object) -> np.ndarray:
 
 
 def delete_faces(asset: bpy.types.Object, chosen: np.ndarray) -> None:
-    """Delete some faces of the object, and the vertices that only these had.
-
-    Raises:
-        ResultError: If that is none of them, or all.
-    """
+    """Delete some faces of the object, and the vertices that only these had."""
     if not chosen.any():
         raise ResultError("there is nothing of the object to delete")
     if chosen.all():

@@ -13,13 +13,7 @@ _FEWEST = 4
 
 
 def levels_of_detail(asset: bpy.types.Object, most_faces: int, count: int) -> list[int]:
-    """Faces of each level, the finest first.
-
-    Args:
-        asset: The object.
-        most_faces: Of the finest; 0 takes all.
-        count: How many levels.
-    """
+    """Faces of each level, the finest first."""
     faces = len(asset.data.polygons)
     finest = min(faces, most_faces) if most_faces else faces
     return [max(_FEWEST, round(finest * _STEP**level)) for level in range(count)]
@@ -27,13 +21,7 @@ def levels_of_detail(asset: bpy.types.Object, most_faces: int, count: int) -> li
 
 @contextmanager
 def reduced(asset: bpy.types.Object, faces: int, side: int) -> Iterator[None]:
-    """Give the object at most so many faces and textures of at most such a side, and take it back.
-
-    Args:
-        asset: The object.
-        faces: Triangles; collapsed edges keep seams of the texture.
-        side: Pixels of the textures' longer side; 0 leaves them as they are.
-    """
+    """Give the object at most so many faces, textures such a side (0: any), and take it back."""
     before = len(asset.data.polygons)
     modifier = None
     if faces < before:

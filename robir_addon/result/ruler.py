@@ -10,14 +10,7 @@ _COLOUR = (1.0, 0.55, 0.1, 1.0)
 
 
 class Ruler:
-    """Drawn in all viewports until it is removed; a sentence stands in the status bar.
-
-    Args:
-        sentence: What the user is to do.
-
-    Attributes:
-        points: World, so far.
-    """
+    """Points, world, drawn in all viewports until removed; a sentence stands in the status bar."""
 
     def __init__(self, sentence: str) -> None:
         self.points: list[Vector] = []

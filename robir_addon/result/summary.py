@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import bpy
-from bpy.app.handlers import persistent
 
 from ..gateway import JobPaths, read_json
 from ..relighting.pictures import read_pictures
@@ -18,16 +17,7 @@ _VERDICTS = {"Good": "Good", "Check this": "Check this", "Doubtful": "Doubtful"}
 
 @dataclass(frozen=True)
 class Summary:
-    """A report in words.
-
-    Attributes:
-        verdict: "Good", "Check this" or "Doubtful".
-        reason: Why, and what to do; empty where it is good.
-        facts: Numbers, and where the result came from.
-        warnings: What to be careful about.
-        brightness: How well the photographs tell it, which is among the facts as well; empty where
-            the report does not say.
-    """
+    """A report in words; no reason where it is good, no brightness where the report has none."""
 
     verdict: str
     reason: str
@@ -102,7 +92,6 @@ def _facts(report: dict[str, Any]) -> list[str]:
     return facts
 
 
-@persistent
 def _follow(*_: object) -> None:
     """Show the result of an object that became the active one, by a click for instance.
 
@@ -116,26 +105,16 @@ def _follow(*_: object) -> None:
         bpy.context.scene.robir.result = result
 
 
-def register() -> None:
-    """Follow what opens, what is undone and which object is active."""
-    for handlers in _handlers():
-        handlers.append(_read_again)
-    bpy.app.handlers.depsgraph_update_post.append(_follow)
+def _read_again(*_: object) -> None:
+    read_shown()
+
+
+HANDLERS = (
+    *((name, _read_again) for name in ("load_post", "undo_post", "redo_post")),
+    ("depsgraph_update_post", _follow),
+)
 
 
 def unregister() -> None:
-    """Follow no longer."""
-    bpy.app.handlers.depsgraph_update_post.remove(_follow)
-    for handlers in _handlers():
-        handlers.remove(_read_again)
+    """Forget what was read."""
     _known.clear()
-
-
-def _handlers() -> tuple[list, list, list]:
-    known = bpy.app.handlers
-    return known.load_post, known.undo_post, known.redo_post
-
-
-@persistent
-def _read_again(*_: object) -> None:
-    read_shown()

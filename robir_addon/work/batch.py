@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import bpy
-from bpy.app.handlers import persistent
 
 from ..errors import RequestError
 from ..gateway import holder, library
@@ -28,14 +27,7 @@ _STARTING = 20
 
 @dataclass(frozen=True)
 class Queue:
-    """A batch as it is shown.
-
-    Attributes:
-        is_live: Whether it is at work.
-        fraction: Share that is over, in [0, 1].
-        text: The same in words.
-        captures: Name, state and message of each.
-    """
+    """A batch as it is shown: share that is over, and name, state and message of captures."""
 
     is_live: bool = False
     fraction: float = 0.0
@@ -59,11 +51,7 @@ def library_paths(settings: bpy.types.PropertyGroup) -> library.LibraryPaths | N
 
 
 def chosen(settings: bpy.types.PropertyGroup) -> library.LibraryPaths:
-    """The chosen library.
-
-    Raises:
-        RequestError: If none is chosen.
-    """
+    """The chosen library."""
     paths = library_paths(settings)
     if paths is None:
         raise RequestError("Choose a library, or run a batch first")
@@ -127,19 +115,15 @@ def _row(row: dict[str, Any], is_live: bool) -> tuple[str, str, str]:
     return row["name"], row["state"], row["message"]
 
 
-@persistent
 def _look_after_load(*_: object) -> None:
     look()
 
 
-def register() -> None:
-    """Look again when another file is opened."""
-    bpy.app.handlers.load_post.append(_look_after_load)
+HANDLERS = (("load_post", _look_after_load),)
 
 
 def unregister() -> None:
     """Look no more."""
-    bpy.app.handlers.load_post.remove(_look_after_load)
     if bpy.app.timers.is_registered(_again):
         bpy.app.timers.unregister(_again)
     _shown[0] = Queue()

@@ -12,7 +12,6 @@ from typing import Any
 import bpy
 import bpy.utils.previews
 import numpy as np
-from bpy.app.handlers import persistent
 
 from ..capture.growing import clear_surface, read_surface, show_surface
 from ..gateway import JobPaths
@@ -35,27 +34,14 @@ _changes: list[int] = [0]
 
 @dataclass
 class Growth:
-    """What is shown of one reconstruction.
-
-    Attributes:
-        root: Its result folder, absolute.
-        picture: When the picture that is shown was written, nanoseconds.
-        surface: When the surface was, and what `_changes` said then.
-    """
+    """What is shown of one reconstruction: when picture and surface were written, nanoseconds."""
 
     root: Path
     picture: int = 0
     surface: tuple[int, int] = (0, 0)
 
     def look(self, stage: str) -> bool:
-        """Show what is newer than what is shown.
-
-        Args:
-            stage: Stage at work; empty before the first, and after the last.
-
-        Returns:
-            Whether the picture is another one.
-        """
+        """Show what is newer than what is shown; whether the picture is another one."""
         paths = JobPaths(self.root)
         if stage not in _STAGES_BEFORE:
             self._look_at_surface(paths.growing)
@@ -89,15 +75,7 @@ def forget() -> None:
 
 
 def load_newer(path: Path, known: int) -> int:
-    """Read the picture again if there is a newer one.
-
-    Args:
-        path: The picture; it may be missing.
-        known: What this function returned last, 0 at first.
-
-    Returns:
-        When the picture that is shown was written, nanoseconds.
-    """
+    """Read a picture written after `known`, nanoseconds; when the shown one was written."""
     try:
         changed = path.stat().st_mtime_ns
     except OSError:
@@ -127,12 +105,6 @@ def _drop_icons() -> None:
         bpy.utils.previews.remove(_both.pop())
 
 
-def _handlers() -> tuple[list, ...]:
-    handlers = bpy.app.handlers
-    return handlers.load_post, handlers.undo_post, handlers.redo_post
-
-
-@persistent
 def _look_again(*_: object) -> None:
     """A file or a step to undo may hold the surface as it was then, long after the work."""
     _changes[0] += 1
@@ -148,16 +120,11 @@ def _clear_leftover() -> None:
         clear_surface()
 
 
-def register() -> None:
-    """Follow what opens and what is undone."""
-    for handlers in _handlers():
-        handlers.append(_look_again)
+HANDLERS = tuple((name, _look_again) for name in ("load_post", "undo_post", "redo_post"))
 
 
 def unregister() -> None:
     """Follow no longer, and give the icons back."""
-    for handlers in _handlers():
-        handlers.remove(_look_again)
     if bpy.app.timers.is_registered(_clear_leftover):
         bpy.app.timers.unregister(_clear_leftover)
     _drop_icons()

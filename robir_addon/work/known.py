@@ -20,11 +20,7 @@ _DIGITS = 6
 
 
 def known_of(settings: Any) -> tuple[str, ...]:
-    """Items of `--set` by which the engine is told what the user knows; none where that is nothing.
-
-    Args:
-        settings: The scene's.
-    """
+    """Items of `--set` by which the engine is told what the user knows; none for nothing."""
     items: dict[str, list[Any]] = {}
     if settings.tone_curve != AUTOMATIC:
         items["families"] = [settings.tone_curve]
@@ -40,13 +36,7 @@ def _rounded(values: tuple[float, ...]) -> list[float]:
 
 
 def remember_spot(settings: Any, root: Path, texel: tuple[float, float]) -> None:
-    """Keep a spot of known paint, and which shape's texture it lies on.
-
-    Args:
-        settings: The scene's.
-        root: Result folder, absolute.
-        texel: u and v, v upwards.
-    """
+    """Keep a spot of known paint, v upwards, and which shape's texture it lies on."""
     settings.spot_texel = texel
     settings.spot_result, settings.spot_shape = mark_of(root), shape_of(root)
 
@@ -59,15 +49,7 @@ def forget_spot(settings: Any) -> None:
 
 
 def check_spot(settings: Any, request: client.Request) -> None:
-    """Refuse to tell the engine of a spot that would lie elsewhere on the texture of the result.
-
-    Args:
-        settings: The scene's.
-        request: What the engine is about to be asked for.
-
-    Raises:
-        RequestError: If the spot was picked on another result, or on a shape that is made anew.
-    """
+    """Refuse to tell the engine of a spot that would lie elsewhere on the texture of the result."""
     if not settings.spot_result:
         return
     picked = Path(settings.spot_result)
@@ -88,15 +70,7 @@ def check_spot(settings: Any, request: client.Request) -> None:
 
 
 def forget_former_spot(settings: Any, root: Path) -> list[str]:
-    """Forget a spot whose shape a newer result has replaced.
-
-    Args:
-        settings: The scene's.
-        root: Folder of the newer result, absolute.
-
-    Returns:
-        A sentence for the user if that was so.
-    """
+    """Forget a spot whose shape a newer result has replaced; a sentence for the user."""
     if settings.spot_result != mark_of(root) or settings.spot_shape == shape_of(root):
         return []
     forget_spot(settings)

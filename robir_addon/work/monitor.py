@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import Any
 
 import bpy
-from bpy.app.handlers import persistent
 
 from ..command_line import worker_environment
 from ..errors import AddonError
@@ -114,24 +113,13 @@ def wait_task(
 
 
 def watch(root: Path) -> None:
-    """Follow the job at work in a result folder, started here or by another Blender.
-
-    Args:
-        root: Absolute.
-
-    Raises:
-        AddonError: If something is at work already.
-    """
+    """Follow the job at work in a result folder, started here or by another Blender."""
     _begin_job(root)
     _wake()
 
 
 def wait_job(root: Path) -> client.Snapshot:
-    """Follow a job to its end; interrupting this stops the job.
-
-    Returns:
-        How it ended.
-    """
+    """Follow a job to its end; interrupting this stops the job."""
     job = _begin_job(root)
     while True:
         try:
@@ -160,11 +148,7 @@ def cancel() -> None:
 
 
 def attach() -> bool:
-    """Follow a worker again that is at work on the result of one of the scenes.
-
-    Returns:
-        Whether there is one.
-    """
+    """Follow a worker again that is at work on the result of one of the scenes."""
     for scene in bpy.data.scenes:
         root = result_folder(scene.robir)
         if root is not None and client.snapshot(root).is_live:
@@ -365,10 +349,12 @@ def _end_job(job: _Job, snapshot: client.Snapshot) -> None:
         show_problem(snapshot.message)
 
 
-@persistent
 def _attach_after_load(*_: object) -> None:
     if not bpy.app.background and not is_busy():
         attach()
+
+
+HANDLERS = (("load_post", _attach_after_load),)
 
 
 def _attach_at_start() -> None:
@@ -378,7 +364,6 @@ def _attach_at_start() -> None:
 
 def register() -> None:
     """Follow workers that are at work already."""
-    bpy.app.handlers.load_post.append(_attach_after_load)
     atexit.register(_sleep)
     if not bpy.app.background:
         bpy.app.timers.register(_attach_at_start, first_interval=_JOB_PERIOD, persistent=True)
@@ -386,7 +371,6 @@ def register() -> None:
 
 def unregister() -> None:
     """Follow nothing any more: tasks end, a reconstruction goes on by itself."""
-    bpy.app.handlers.load_post.remove(_attach_after_load)
     atexit.unregister(_sleep)
     if bpy.app.timers.is_registered(_attach_at_start):
         bpy.app.timers.unregister(_attach_at_start)

@@ -35,12 +35,7 @@ def support_report(context: bpy.types.Context) -> str:
 
 
 def without_private_paths(text: str, folders: Mapping[str, str]) -> str:
-    """The text with known folders under other names, the home folder as ~, the user as USER.
-
-    Args:
-        text: Plain text, or JSON with escaped backslashes.
-        folders: Folder by the name it is shown under; an empty one is no folder.
-    """
+    """The text with known folders under other names, the home folder as ~, the user as USER."""
     known = [(Path(folder), name) for name, folder in folders.items() if folder]
     known.append((Path.home(), "~"))
     for folder, name in sorted(known, key=lambda pair: -len(str(pair[0]))):

@@ -25,15 +25,7 @@ _SAID_LINES = 30
 
 
 class Task:
-    """A subprocess whose standard output and error are read by a thread.
-
-    Attributes:
-        name: What it does, as in `WindowManager.robir.task`.
-        on_line: Called with every JSON object it prints.
-        on_end: Called with its exit code and last words.
-        said: Its last words that were no JSON.
-        stopped_at: When it was first told to end, seconds of the monotonic clock.
-    """
+    """A subprocess whose standard output and error are read by a thread."""
 
     def __init__(
         self,

@@ -116,8 +116,8 @@ def test_the_zip_is_small_and_holds_no_bench(extension_zip):
         (wheel,) = (name for name in names if name.endswith(".whl"))
         with archive.open(wheel) as stream, zipfile.ZipFile(stream) as inner:
             rooms = {name.partition("/")[0] for name in inner.namelist()}
-    assert extension_zip.stat().st_size < 3_000_000
-    assert 0 < sample < 2_000_000
+    assert extension_zip.stat().st_size < 8_000_000
+    assert 0 < sample < 6_000_000
     assert "robir" in rooms and "robir_bench" not in rooms
 
 
@@ -279,8 +279,12 @@ def test_what_the_zip_holds(extension_zip):
     allowed = (".po", ".py", ".toml", ".txt", ".whl", "LICENSE", "sbom.cdx.json")
     code = [name for name in files if not name.startswith("sample/")]
     assert [name for name in code if not name.endswith(allowed)] == []
-    pictures = {name.rpartition(".")[2] for name in files if name.startswith("sample/")}
-    assert pictures == {"json", "webp"}
+    sample = {name: content for name, content in files.items() if name.startswith("sample/")}
+    kinds = {name.rpartition(".")[2] for name in sample}
+    assert kinds == {"exr", "glb", "json", "png", "txt", "webp"}
+    assert max(map(len, sample.values())) < 1_500_000
+    (licence,) = (content for name, content in sample.items() if name.endswith("README.txt"))
+    assert b"CC0 1.0" in licence
 
 
 def test_the_zip_says_what_it_is_made_of(extension_zip):

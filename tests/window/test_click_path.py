@@ -53,17 +53,34 @@ def out(capture: Path) -> Path:
     return capture.parent / f"{capture.name}_robir"
 
 
-def test_the_panel_waits_for_a_capture(window: BlenderWindow, tmp_path: Path) -> None:
+def test_the_panel_waits_for_a_capture(window: BlenderWindow) -> None:
     window.picture("nothing_chosen")
     window.find("bpy.ops.robir.choose_capture")
-    window.choose_engine(small_engine(tmp_path, AFTER_THE_SHAPE))
 
 
-def test_the_sample_is_one_click_away(window: BlenderWindow) -> None:
-    window.press("bpy.ops.robir.try_sample")
-    window.wait_until(f"{STATE}.recognised and not {STATE}.task", 60.0)
-    assert Path(window.get(f"{SETTINGS}.capture")).name == "truck"
+def test_the_sample_is_relit_in_one_click_and_without_an_engine(window: BlenderWindow) -> None:
+    pressed = window.press("bpy.ops.robir.try_sample")
+    window.wait_until(f"{SETTINGS}.result", 30.0)
+    note("seconds from click to the relit sample", time.monotonic() - pressed)
+    show_plainly(window)
+    assert "sunrise" in window.get(WORLD_FILE)
     window.picture("sample")
+
+
+def test_one_reconstructs_it_in_three_clicks_more(window: BlenderWindow, tmp_path: Path) -> None:
+    before = window.screen.clicks
+    window.press("bpy.ops.robir.reconstruct_sample")
+    window.wait_until(f"{SETTINGS}.capture", 10.0)
+    assert Path(window.get(f"{SETTINGS}.capture")).name == "avocado"
+    assert window.get(OBJECT) is None
+    window.picture("sample_without_engine")
+    window.find("bpy.ops.robir.install_engine")  # where the next click goes; it says how large
+    window.choose_engine(small_engine(tmp_path, AFTER_THE_SHAPE))
+    window.run("bpy.ops.robir.look_at_capture('INVOKE_DEFAULT')")  # as the installation's end does
+    window.wait_until(f"{STATE}.recognised and not {STATE}.task", 120.0)
+    window.find("bpy.ops.robir.reconstruct")
+    install_and_reconstruct = 2
+    assert window.screen.clicks - before + install_and_reconstruct <= 3
     window.press("bpy.ops.robir.clear_capture")
     window.wait_until(f"not {SETTINGS}.capture", 5.0)
 

@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Makes the add-on's sample anew: an avocado on a plate, rendered, reconstructed and packed.
+
+`python -m blender_scenes.sample AVOCADO.gltf MAP.hdr OUT` writes OUT/avocado and OUT/result, where
+they are missing, and robir_addon/sample. Model and map have to be CC0, as the sample is.
+"""
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import bpy
+from PIL import Image
+
+from blender_scenes import cache
+from blender_scenes.command_line import carried_out, say
+from blender_scenes.format import ToneMapping, write_capture
+from blender_scenes.recipe import Cameras, Ground, Paint, Part, Recipe, SecondLight, Sky, Sun
+from blender_scenes.request import SceneRequest
+
+SHIPPED = Path(__file__).resolve().parents[2] / "robir_addon" / "sample"
+NAME = "avocado"
+PRESET = ("--preset", "draft")
+LIGHT_SIDE = 1024
+"""Width of the packed maps of the light, pixels."""
+
+README = """Avocado: a capture of 32 rendered pictures, and what RobIR has reconstructed of it.
+
+Model: "Avocado" of the Khronos glTF sample assets, by Microsoft, CC0 1.0.
+Light: "Kloppenheim 05" of Poly Haven, CC0 1.0.
+The pictures and all that was made of them: CC0 1.0 as well,
+https://creativecommons.org/publicdomain/zero/1.0/
+
+Made by: python -m blender_scenes.sample Avocado.gltf kloppenheim_05_1k.hdr OUT
+"""
+
+_OWN = Paint("own", ((0.5, 0.5, 0.5), (0.5, 0.5, 0.5)), (0.5, 0.5), 0.0, 1)
+_PLATE = Paint("speckled", ((0.62, 0.58, 0.52), (0.4, 0.36, 0.32)), (0.5, 0.5), 0.0, 40)
+
+
+def render(model: Path, sky: Path, out: Path) -> None:
+    """Render the capture, unless it is there.
+
+    Args:
+        model: glTF file of the avocado.
+        sky: Lat-long map.
+        out: Folder of the capture.
+    """
+    if (out / "transforms_test.json").is_file():
+        return
+    recipe = Recipe(
+        parts=(Part("asset", _OWN, 0, (0.0, 0.0, 0.0), 1.0, (0.0, 0.0), model),),
+        ground=Ground("disc", _PLATE, 0.56, 3),
+        sky=Sky(0.0, (Sun(40.0, -45.0, 2.0, 0.6),), is_softened=True),
+        cameras=Cameras("dome", (8.0, 62.0), (0.0, 360.0), 0.98),
+        second_light=SecondLight(sky, 0.5),
+    )
+    request = SceneRequest(
+        "drawn", "none", "hdri-sun", hdri=sky, resolution=640, views=28, test_views=4,
+        samples=12, seed=1, recipe=recipe,
+    )  # fmt: skip
+    folder, _ = cache.linear_renders(request, out.parent / "renders", _report)
+    write_capture(out, folder, ToneMapping("Filmic", 0.3))
+
+
+def _report(done: int, total: int) -> None:
+    say(f"rendered {done}/{total}", ending="\r")
+
+
+def pack(result: Path, capture: Path) -> None:
+    """Make the add-on's sample anew of a finished result with its light pictures.
+
+    Pictures become WebP, and maps of the light half as fine and precise: their suns are lamps.
+    """
+    out = SHIPPED / NAME
+    shutil.rmtree(SHIPPED, ignore_errors=True)
+    kept = [result / "run.json", result / "report" / "report.json"]
+    kept += [result / "export" / name for name in ("asset.glb", "light.json", "tone_curve.json")]
+    kept += [*result.glob("export/textures/*.png"), *result.glob("renders/*.png")]
+    for file in kept:
+        target = out / file.relative_to(result)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(file, target)
+    for file in result.glob("export/environment*.exr"):
+        _smaller_map(file, out / "export" / file.name)
+    table = json.loads((result / "export" / "cameras.json").read_text(encoding="utf-8"))
+    for view in table["views"]:
+        name = f"{Path(view['image']).stem}.webp"
+        _webp(result / "export" / view["image"], out / "views" / name)
+        view["image"] = f"../views/{name}"
+    (out / "export" / "cameras.json").write_text(json.dumps(table), encoding="utf-8")
+    for part in ("train", "test"):
+        transforms = f"transforms_{part}.json"
+        for file in sorted((capture / part).glob("r_[0-9]*.png")):
+            _webp(file, out / NAME / part / f"{file.stem}.webp")
+        shutil.copyfile(capture / transforms, out / NAME / transforms)
+    (out / "README.txt").write_text(README, encoding="utf-8")
+
+
+def _webp(source: Path, target: Path) -> None:
+    target.parent.mkdir(parents=True, exist_ok=True)
+    with Image.open(source, formats=("PNG",)) as picture:
+        picture.save(target, quality=88, method=6, exact=True)
+
+
+def _smaller_map(source: Path, target: Path) -> None:
+    image = bpy.data.images.load(str(source))
+    image.scale(LIGHT_SIDE, LIGHT_SIDE // 2)
+    settings = bpy.context.scene.render.image_settings
+    settings.file_format, settings.color_mode = "OPEN_EXR", "RGB"
+    settings.color_depth, settings.exr_codec = "16", "DWAA"
+    image.save_render(str(target))
+
+
+def _make(model: Path, sky: Path, out: Path) -> None:
+    capture, result = out / NAME, out / "result"
+    render(model, sky, capture)
+    for words in (
+        ["robir", "reconstruct", str(capture), "-o", str(result), "--resume", *PRESET],
+        ["robir_addon.headless", "lights", str(result)],
+    ):
+        subprocess.run([sys.executable, "-m", *words], check=True)
+    pack(result, capture)
+
+
+if __name__ == "__main__":
+    given = [Path(word).absolute() for word in sys.argv[1:]]
+    sys.exit(carried_out(lambda: _make(*given), SHIPPED))
