@@ -3,6 +3,7 @@
 # make demo CAPTURE=path [MASKS=dir] [DEMO=dir]   the same for a capture of your own
 # make test                        everything the project checks about itself
 # make addon                       the Blender extension: dist/robir-VERSION.zip and dist/repository
+# make sample ASSET=x.gltf HDRI=y  anew the finished sample that comes with the extension
 # make setup                       only the environment; .venv/bin/robir is then the command
 # make fuzz [SECONDS=300]          hostile bytes for every reader, with atheris
 # make audit                       known weaknesses of the pinned versions
@@ -37,7 +38,7 @@ SOURCES := core tests blender_scenes robir_addon build_addon.py
 SYSTEM_LIBRARIES := libXrender.so.1 libXfixes.so.3 libXi.so.6 libxkbcommon.so.0 libSM.so.6 libGL.so.1
 SYSTEM_PACKAGES := libxrender1 libxfixes3 libxi6 libxkbcommon0 libsm6 libgl1
 
-.PHONY: setup demo addon blenders validator test fast lint fuzz audit hashes hostile system-packages
+.PHONY: setup demo sample addon blenders validator test fast lint fuzz audit hashes hostile system-packages
 .DEFAULT_GOAL := setup
 
 setup: $(STAMP)
@@ -114,6 +115,12 @@ if [ "$$verdict" = failed ]; then
 fi
 endef
 export RUN_DEMO
+
+sample: setup
+	$(BIN)/python -m blender_scenes.sample render $(ASSET) $(HDRI) build/sample/avocado
+	$(BIN)/robir reconstruct build/sample/avocado -o build/sample/result --resume
+	$(BIN)/python -m robir_addon.headless lights build/sample/result
+	$(BIN)/python -m blender_scenes.sample pack build/sample/result build/sample/avocado robir_addon/sample
 
 addon: setup
 	$(BIN)/python build_addon.py

@@ -90,26 +90,8 @@ from robir.jobs.records import CAMERA, NUMBERS, read_record
 from robir.jobs.status import Status, read_status
 
 __all__ = [
-    "CAMERA",
-    "NUMBERS",
-    "STAGES",
-    "UDIM",
-    "JobPaths",
-    "Status",
-    "__version__",
-    "client",
-    "file_in",
-    "files_of",
-    "holder",
-    "leads_out",
-    "library",
-    "of_tile",
-    "read_json",
-    "read_record",
-    "read_regular",
-    "read_status",
-    "replacing",
-    "special_fault",
-    "tiles_there",
+    "CAMERA", "NUMBERS", "STAGES", "UDIM", "JobPaths", "Status", "__version__", "client",
+    "file_in", "files_of", "holder", "leads_out", "library", "of_tile", "read_json",
+    "read_record", "read_regular", "read_status", "replacing", "special_fault", "tiles_there",
     "write_json",
-]
+]  # fmt: skip

@@ -43,6 +43,9 @@ _FOLLOWED = "ROBIR_FOLLOWED"
 _COMPRESSED_END = b"\xb1\xea\x92\x8f"
 """Last bytes of a whole compressed .blend: the mark of the table of its parts."""
 
+_Made = tuple[list[Path], tuple[str, ...]]
+"""Files that a command wrote, and sentences for the user."""
+
 _INTERRUPTED = 130
 _DISK = 6
 _DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG, errno.EIO)
@@ -116,7 +119,7 @@ def _ending_with_the_caller(reports: TextIO) -> Iterator[None]:
         thread.join()
 
 
-def build_scene(options: argparse.Namespace, reports: TextIO) -> tuple[list[Path], tuple[str, ...]]:
+def build_scene(options: argparse.Namespace, reports: TextIO) -> _Made:
     """Make export/scene.blend of the exported files; textures and light are packed into it."""
     paths, scene, notes = _made_scene(options, reports)
     photos = {camera.data.background_images[0].image for camera in capture_cameras(scene)}
@@ -129,7 +132,7 @@ def build_scene(options: argparse.Namespace, reports: TextIO) -> tuple[list[Path
     return [paths.scene], notes
 
 
-def build_asset(options: argparse.Namespace, reports: TextIO) -> tuple[list[Path], tuple[str, ...]]:
+def build_asset(options: argparse.Namespace, reports: TextIO) -> _Made:
     """Make export/asset.blend: the object alone, marked as an asset, its origin at its foot."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     _say(reports, {"progress": 0.0, "message": "making an asset for Blender's library"})
@@ -169,9 +172,7 @@ def _replacing_blend(path: Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
-def render_views(
-    options: argparse.Namespace, reports: TextIO
-) -> tuple[list[Path], tuple[str, ...]]:
+def render_views(options: argparse.Namespace, reports: TextIO) -> _Made:
     """Render capture views of the exported files as they were photographed."""
     paths, scene = _scene_to_render(options, reports)
     cameras, table = _chosen_cameras(scene, options.views), _tone_table(paths)
@@ -184,7 +185,7 @@ def render_views(
     return files, ()
 
 
-def relight(options: argparse.Namespace, reports: TextIO) -> tuple[list[Path], tuple[str, ...]]:
+def relight(options: argparse.Namespace, reports: TextIO) -> _Made:
     """Render the result under another light: stills of the chosen views, or a turning light."""
     environment = found_environment(options.environment)
     paths, scene = _scene_to_render(options, reports)
@@ -203,9 +204,7 @@ def relight(options: argparse.Namespace, reports: TextIO) -> tuple[list[Path], t
     return files, ()
 
 
-def picture_lights(
-    options: argparse.Namespace, reports: TextIO
-) -> tuple[list[Path], tuple[str, ...]]:
+def picture_lights(options: argparse.Namespace, reports: TextIO) -> _Made:
     """Small pictures of the object under the recovered light and each that Blender ships."""
     paths, scene = _scene_to_render(options, reports)
     table = _tone_table(paths)
@@ -222,9 +221,7 @@ def picture_lights(
     return files, ()
 
 
-def convert_mesh(
-    options: argparse.Namespace, reports: TextIO
-) -> tuple[list[Path], tuple[str, ...]]:
+def convert_mesh(options: argparse.Namespace, reports: TextIO) -> _Made:
     """Make a GLB of a mesh file that only Blender reads."""
     _say(reports, {"progress": 0.0, "message": f"reading {options.file.name}"})
     if not options.within:
@@ -246,10 +243,7 @@ def _points_of_asset(scene: bpy.types.Scene) -> np.ndarray:
 
 
 def _turntable(
-    options: argparse.Namespace,
-    reports: TextIO,
-    environment: Path,
-    camera: bpy.types.Object,
+    options: argparse.Namespace, reports: TextIO, environment: Path, camera: bpy.types.Object
 ) -> list[Path]:
     """Frames of one full turn of the light, and a film of them."""
     scene, count = bpy.context.scene, options.turntable

@@ -137,8 +137,7 @@ def managed_place() -> Place:
     home = own_folder(create=False)
     if home is None:
         raise EngineError(
-            "RobIR runs from a folder and not as an installed extension",
-            engine.CHOOSE_EXISTING,
+            "RobIR runs from a folder and not as an installed extension", engine.CHOOSE_EXISTING
         )
     return Place(home / "engine")
 

@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Makes the add-on's sample anew: an avocado on a plate, rendered, reconstructed and packed.
+"""Renders and packs the add-on's sample, an avocado on a plate; `make sample` does it all.
 
-`python -m blender_scenes.sample AVOCADO.gltf MAP.hdr OUT` writes OUT/avocado and OUT/result, where
-they are missing, and robir_addon/sample. Model and map have to be CC0, as the sample is.
+`python -m blender_scenes.sample render AVOCADO.gltf MAP.hdr CAPTURE`, whose model and map have to
+be CC0, and `pack RESULT CAPTURE robir_addon/sample`.
 """
 
 import json
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 
@@ -20,9 +19,7 @@ from blender_scenes.format import ToneMapping, write_capture
 from blender_scenes.recipe import Cameras, Ground, Paint, Part, Recipe, SecondLight, Sky, Sun
 from blender_scenes.request import SceneRequest
 
-SHIPPED = Path(__file__).resolve().parents[2] / "robir_addon" / "sample"
 NAME = "avocado"
-PRESET = ("--preset", "draft")
 LIGHT_SIDE = 1024
 """Width of the packed maps of the light, pixels."""
 
@@ -33,7 +30,7 @@ Light: "Kloppenheim 05" of Poly Haven, CC0 1.0.
 The pictures and all that was made of them: CC0 1.0 as well,
 https://creativecommons.org/publicdomain/zero/1.0/
 
-Made by: python -m blender_scenes.sample Avocado.gltf kloppenheim_05_1k.hdr OUT
+Made by: make sample ASSET=Avocado.gltf HDRI=kloppenheim_05_1k.hdr
 """
 
 _OWN = Paint("own", ((0.5, 0.5, 0.5), (0.5, 0.5, 0.5)), (0.5, 0.5), 0.0, 1)
@@ -69,13 +66,13 @@ def _report(done: int, total: int) -> None:
     say(f"rendered {done}/{total}", ending="\r")
 
 
-def pack(result: Path, capture: Path) -> None:
+def pack(result: Path, capture: Path, shipped: Path) -> None:
     """Make the add-on's sample anew of a finished result with its light pictures.
 
     Pictures become WebP, and maps of the light half as fine and precise: their suns are lamps.
     """
-    out = SHIPPED / NAME
-    shutil.rmtree(SHIPPED, ignore_errors=True)
+    out = shipped / NAME
+    shutil.rmtree(shipped, ignore_errors=True)
     kept = [result / "run.json", result / "report" / "report.json"]
     kept += [result / "export" / name for name in ("asset.glb", "light.json", "tone_curve.json")]
     kept += [*result.glob("export/textures/*.png"), *result.glob("renders/*.png")]
@@ -114,17 +111,8 @@ def _smaller_map(source: Path, target: Path) -> None:
     image.save_render(str(target))
 
 
-def _make(model: Path, sky: Path, out: Path) -> None:
-    capture, result = out / NAME, out / "result"
-    render(model, sky, capture)
-    for words in (
-        ["robir", "reconstruct", str(capture), "-o", str(result), "--resume", *PRESET],
-        ["robir_addon.headless", "lights", str(result)],
-    ):
-        subprocess.run([sys.executable, "-m", *words], check=True)
-    pack(result, capture)
-
-
 if __name__ == "__main__":
-    given = [Path(word).absolute() for word in sys.argv[1:]]
-    sys.exit(carried_out(lambda: _make(*given), SHIPPED))
+    command, *given = sys.argv[1:]
+    files = [Path(word).absolute() for word in given]
+    work = {"render": render, "pack": pack}[command]
+    sys.exit(carried_out(lambda: work(*files), files[-1]))

@@ -20,20 +20,7 @@ from .sentences import Sentence
 from .states import Status, read_record, status, wheel_version
 
 __all__ = [
-    "CHOOSE_EXISTING",
-    "EngineError",
-    "Facts",
-    "Place",
-    "Sentence",
-    "Status",
-    "base_python",
-    "bundled_wheel",
-    "clean_environment",
-    "constraints",
-    "inspect",
-    "interpreter",
-    "read_record",
-    "status",
-    "wheel_version",
-    "worker_command",
-]
+    "CHOOSE_EXISTING", "EngineError", "Facts", "Place", "Sentence", "Status", "base_python",
+    "bundled_wheel", "clean_environment", "constraints", "inspect", "interpreter",
+    "read_record", "status", "wheel_version", "worker_command",
+]  # fmt: skip

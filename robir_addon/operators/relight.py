@@ -13,12 +13,7 @@ from bpy_extras.io_utils import ImportHelper
 from ..child import blender_command
 from ..engine import Sentence
 from ..errors import AddonError, RequestError
-from ..relighting.lights import (
-    choose_light,
-    environment_file,
-    shows_recovered_light,
-    world_of,
-)
+from ..relighting.lights import choose_light, environment_file, shows_recovered_light, world_of
 from ..result.compositing import clear_stage, set_stage
 from ..result.importer import mark_of, read_cameras
 from ..result.summary import read_shown

@@ -95,8 +95,7 @@ class ROBIR_PG_settings(bpy.types.PropertyGroup):
         default=1.0,
     )
     view_shift: FloatVectorProperty(
-        name="Shift of the view",
-        description="Where the origin of the capture's own frame is shown",
+        name="Shift of the view", description="Where the origin of the capture's own frame is shown"
     )
     out: StringProperty(
         name="Result",

@@ -25,22 +25,19 @@ _SIMPLE_NAME_BYTES = 64
 def make_asset(asset: bpy.types.Object, paths: JobPaths, *, is_packed: bool = True) -> None:
     """Mark an object as an asset, with what is known of it and a picture; saves nothing."""
     run = read_run(paths)
-    facts = {"preset": run["preset"], "device": run["device"], "seed": run["seed"]}
     table = read_cameras(paths)
     picture = preview_codes(rendered_view(paths, table).picture)
     asset.asset_mark()
     data = asset.asset_data
     data.description = (
         f"Reconstructed from {len(table['views'])} photographs by RobIR {__version__}, "
-        f"preset {facts['preset']}"
+        f"preset {run['preset']}"
     )
-    known = {tag.name for tag in data.tags}
     for tag in ("RobIR", "reconstruction", paths.root.name):
-        if tag not in known:
-            data.tags.new(tag)
+        data.tags.new(tag, skip_if_exists=True)
     asset["robir_version"] = __version__
-    for name, value in facts.items():
-        asset[f"robir_{name}"] = value
+    for name in ("preset", "device", "seed"):
+        asset[f"robir_{name}"] = run[name]
     for slot in asset.material_slots:
         for node in slot.material.node_tree.nodes if slot.material else ():
             if node.type == "TEX_IMAGE" and node.image and not node.image.packed_file and is_packed:
