@@ -74,8 +74,9 @@ def pack(result: Path, capture: Path, shipped: Path) -> None:
     out = shipped / NAME
     shutil.rmtree(shipped, ignore_errors=True)
     kept = [result / "run.json", result / "report" / "report.json"]
-    kept += [result / "export" / name for name in ("asset.glb", "light.json", "tone_curve.json")]
-    kept += [*result.glob("export/textures/*.png"), *result.glob("renders/*.png")]
+    kept += [result / "export" / name for name in ("asset.glb", "light.json")]
+    kept += [*result.glob("export/tone_curve.[jc]*"), *result.glob("export/textures/*.png")]
+    kept += [*result.glob("renders/light_*.png"), *result.glob("renders/rerender_*.png")]
     for file in kept:
         target = out / file.relative_to(result)
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -99,7 +100,7 @@ def pack(result: Path, capture: Path, shipped: Path) -> None:
 def _webp(source: Path, target: Path) -> None:
     target.parent.mkdir(parents=True, exist_ok=True)
     with Image.open(source, formats=("PNG",)) as picture:
-        picture.save(target, quality=88, method=6, exact=True)
+        picture.save(target, quality=85, method=6, exact=True)
 
 
 def _smaller_map(source: Path, target: Path) -> None:
