@@ -118,7 +118,8 @@ export RUN_DEMO
 
 sample: setup
 	$(BIN)/python -m blender_scenes.sample render $(ASSET) $(HDRI) build/sample/avocado
-	$(BIN)/robir reconstruct build/sample/avocado -o build/sample/result --resume
+	$(BIN)/robir reconstruct build/sample/avocado -o build/sample/result --resume --seed 1 \
+	  --set geometry.image_side=400 --set 'appearance.families=["filmic"]'
 	$(BIN)/python -m robir_addon.headless lights build/sample/result
 	$(BIN)/python -m blender_scenes.sample pack build/sample/result build/sample/avocado robir_addon/sample
 

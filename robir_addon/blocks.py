@@ -80,7 +80,7 @@ def enable_nodes(block: bpy.types.Material | bpy.types.World) -> None:
 
 def select_alone(layer: bpy.types.ViewLayer, chosen: bpy.types.Object) -> None:
     """Make an object the active one, and the only one that is selected."""
-    for other in list(layer.objects.selected):
+    for other in filter(None, list(layer.objects.selected)):  # None is what was just removed
         other.select_set(False)
     chosen.select_set(True)
     layer.objects.active = chosen
