@@ -81,6 +81,9 @@ def pack(result: Path, capture: Path, shipped: Path) -> None:
         target = out / file.relative_to(result)
         target.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(file, target)
+    report = json.loads((out / "report" / "report.json").read_text(encoding="utf-8"))
+    report["capture"]["source"] = NAME  # no path of this machine
+    (out / "report" / "report.json").write_text(json.dumps(report), encoding="utf-8")
     for file in result.glob("export/environment*.exr"):
         _smaller_map(file, out / "export" / file.name)
     table = json.loads((result / "export" / "cameras.json").read_text(encoding="utf-8"))
