@@ -11,6 +11,7 @@ import os
 import sys
 import time
 import traceback
+from itertools import pairwise
 from pathlib import Path
 
 import bpy
@@ -47,7 +48,7 @@ class RedrawClock:
     """When the 3D viewport was drawn, while something asks for a drawing every REDRAW_PERIOD."""
 
     def __init__(self) -> None:
-        self._drawn: list[tuple[float, str]] = []
+        self._drawn: list[tuple[float, float, str]] = []
         self._handler = None
 
     def start(self) -> None:
@@ -60,20 +61,23 @@ class RedrawClock:
             )
             bpy.app.timers.register(self._ask, first_interval=REDRAW_PERIOD)
 
-    def stop(self) -> list[tuple[float, str]]:
-        """Stop recording; returns seconds between drawings and what was at work meanwhile."""
+    def stop(self) -> list[tuple[float, float, str]]:
+        """Stop recording; returns of every gap between drawings its seconds, those in which
+        Blender's own thread had a processor, and what was at work meanwhile.
+        """
         if self._handler is not None:
             bpy.types.SpaceView3D.draw_handler_remove(self._handler, "WINDOW")
             self._handler = None
         self._record()
         return [
-            (end - start, before if before == after else f"{before} -> {after}")
-            for (start, before), (end, after) in zip(self._drawn, self._drawn[1:], strict=False)
+            (end - start, ran - run, before if before == after else f"{before} -> {after}")
+            for (start, run, before), (end, ran, after) in pairwise(self._drawn)
         ]
 
     def _record(self) -> None:
         state = bpy.context.window_manager.robir
-        self._drawn.append((time.perf_counter(), f"{state.task} {state.stage}".strip()))
+        work = f"{state.task} {state.stage}".strip()
+        self._drawn.append((time.perf_counter(), time.thread_time(), work))
 
     def _ask(self) -> float | None:
         if self._handler is None:

@@ -20,23 +20,28 @@ class Redraws:
         window.run("bpy.app.driver_namespace['redraws'].start()")
         self._start, self._own, self._all = time.monotonic(), _own_seconds(), _all_seconds()
 
-    def longest(self) -> tuple[tuple[float, str], tuple[float, str], float]:
+    def longest(self) -> tuple[dict[str, float], str]:
         """End the watch.
 
         Returns:
-            The longest gap within one task, in seconds with what was at work; the longest one in
-            which a task begins or ends, as the scene is changed there; and the share of the
-            machine's processors in [0, 1] that strangers left to the tests, Blender and the worker.
+            Seconds: "gap" is the longest one within one task, "share" of the processors that
+            strangers left to the tests, Blender and the worker, in [0, 1], "busy" the longest that
+            Blender's own thread had a processor between two drawings within one task, and "change"
+            the longest gap in which a task begins or ends, as the scene is changed there. And what
+            was at work in the busiest.
         """
         gaps = self._window.get("bpy.app.driver_namespace['redraws'].stop()")
         capacity = (time.monotonic() - self._start) * (os.cpu_count() or 1)
-        own, busy = _own_seconds() - self._own, _all_seconds() - self._all
-        within, between = [(0.0, "")], [(0.0, "")]
-        for seconds, work in gaps:
-            tasks = {part.partition(" ")[0] for part in work.split(" -> ")}
-            (within if len(tasks) == 1 else between).append((seconds, work))
-        strangers = min(max(busy - own, 0.0) / capacity, 0.9)
-        return max(within), max(between), 1.0 - strangers
+        own, all_busy = _own_seconds() - self._own, _all_seconds() - self._all
+        strangers = min(max(all_busy - own, 0.0) / capacity, 0.9)
+        gap, change, busiest = 0.0, 0.0, (0.0, "")
+        for seconds, busy, work in gaps:
+            if len({part.partition(" ")[0] for part in work.split(" -> ")}) > 1:
+                change = max(change, seconds)
+                continue
+            gap, busiest = max(gap, seconds), max(busiest, (busy, work))
+        figures = {"gap": gap, "share": 1.0 - strangers, "busy": busiest[0], "change": change}
+        return figures, busiest[1]
 
 
 def _all_seconds() -> float:
