@@ -73,16 +73,17 @@ def pack(result: Path, capture: Path, shipped: Path) -> None:
     """
     out = shipped / NAME
     shutil.rmtree(shipped, ignore_errors=True)
-    kept = [result / "run.json", result / "report" / "report.json"]
-    kept += [result / "export" / name for name in ("asset.glb", "light.json")]
-    kept += [*result.glob("export/tone_curve.[jc]*"), *result.glob("export/textures/*.png")]
+    kept = [result / "run.json", *result.glob("export/textures/*.png")]
+    # Blender has the tone curve, so that its table is not read
+    kept += [result / "export" / name for name in ("asset.glb", "light.json", "tone_curve.json")]
     kept += [*result.glob("renders/light_*.png"), *result.glob("renders/rerender_*.png")]
     for file in kept:
         target = out / file.relative_to(result)
         target.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(file, target)
-    report = json.loads((out / "report" / "report.json").read_text(encoding="utf-8"))
+    report = json.loads((result / "report" / "report.json").read_text(encoding="utf-8"))
     report["capture"]["source"] = NAME  # no path of this machine
+    (out / "report").mkdir()
     (out / "report" / "report.json").write_text(json.dumps(report), encoding="utf-8")
     for file in result.glob("export/environment*.exr"):
         _smaller_map(file, out / "export" / file.name)

@@ -15,7 +15,6 @@ from ..relighting.lights import world_of
 from ..result.importer import active_result, asset_of, mark_of
 from ..words import reported, told
 from ..work import monitor
-from ..work.worker import problem_and_cure
 
 _TAB = "RobIR"  # of the sidebar, where the panels are
 
@@ -51,8 +50,8 @@ class Operator(_MixedIn):
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Do the work at once."""
+        monitor.show_problem("")
         state = context.window_manager.robir
-        state.error = state.error_cure = ""
         if not state.task:
             state.message = ""  # what was said of the last click
         try:
@@ -70,8 +69,7 @@ class Operator(_MixedIn):
 
         A pop-up beside the panel would say it twice, and take the next click.
         """
-        state = context.window_manager.robir
-        state.error, state.error_cure = problem_and_cure(sentence)
+        monitor.show_problem(sentence)
         refused(self, context, sentence)
         return {"CANCELLED"}
 

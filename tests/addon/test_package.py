@@ -281,7 +281,7 @@ def test_what_the_zip_holds(extension_zip):
     assert [name for name in code if not name.endswith(allowed)] == []
     sample = {name: content for name, content in files.items() if name.startswith("sample/")}
     kinds = {name.rpartition(".")[2] for name in sample}
-    assert kinds == {"cube", "exr", "glb", "json", "png", "txt", "webp"}
+    assert kinds == {"exr", "glb", "json", "png", "txt", "webp"}
     assert max(map(len, sample.values())) < 1_500_000
     (licence,) = (content for name, content in sample.items() if name.endswith("README.txt"))
     assert b"CC0 1.0" in licence
