@@ -75,7 +75,7 @@ def two_maps(one: Given) -> Detail:
 )
 def test_a_map_that_does_not_fit_the_result_is_left_out_and_told(change, reason):
     one = replace(given(), **change)
-    ready = made_ready(one, GeometryConfig(unwrap_seconds=5), Quiet().warn)
+    ready = made_ready(one, GeometryConfig(), Quiet().warn)
     assert not ready.normal_maps
     assert any(reason in note for note in ready.notes)
 
