@@ -35,8 +35,7 @@ def path_argument(text: str) -> Path:
 def refuse_lost_folder() -> None:
     """Refuse to work from a folder that is gone: libraries look for it and die.
 
-    Raises:
-        UsageError: If it is.
+    `UsageError` if it is.
     """
     try:
         Path.cwd()

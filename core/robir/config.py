@@ -61,8 +61,7 @@ class RunConfig:
 def resolve(base: RunConfig, file: Path | None, assignments: Sequence[str]) -> RunConfig:
     """A configuration with a TOML file, then items such as "geometry.rays=900", put over it.
 
-    Raises:
-        ConfigError: If a setting is unknown, of the wrong type or out of range.
+    `ConfigError` if a setting is unknown, of the wrong type or out of range.
     """
     table = table_from_settings(base)
     if file is not None:

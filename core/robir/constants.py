@@ -25,8 +25,7 @@ from robir.errors import ConfigError
 
 _ROOT = Path(__file__).parent
 
-applied: list[str] = []
-"""What is changed now, for a process that this one starts."""
+applied: list[str] = []  # what is changed now, for a process that this one starts
 
 
 def of_stage(changes: Sequence[str], stage: str, stages: Sequence[str]) -> list[str]:

@@ -8,8 +8,7 @@ from dataclasses import replace
 
 from robir.config import RunConfig
 
-EVERYTHING = 1 << 15
-"""Longer side, pixels, that no photograph has."""
+EVERYTHING = 1 << 15  # longer side, pixels, that no photograph has
 
 
 def draft() -> RunConfig:
@@ -71,5 +70,5 @@ def high() -> RunConfig:
     )
 
 
+# presets by the name typed on the command line
 PRESETS: dict[str, Callable[[], RunConfig]] = {"draft": draft, "standard": standard, "high": high}
-"""Presets by the name typed on the command line."""

@@ -20,49 +20,31 @@ from robir.errors import CancelledError, DeviceError, RobirError, StorageError
 from robir.export.blender import missing_blender
 from robir.pipeline.device import Machine, choose_execution, machine
 
-DRAFT_BYTES = 2 << 30
-"""Memory that a draft of a usual capture takes at most."""
+DRAFT_BYTES = 2 << 30  # memory that a draft of a usual capture takes at most
 
 _DISK_ERRORS = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SelfTestVerdict:
-    """What the test found; every field is plain.
+    """What the test found; every field is plain."""
 
-    Attributes:
-        ok: Whether reconstructions will work.
-        exit_code: 0, 4 (no usable device or memory), 5 (the fit is bad), or that of another error.
-        seconds: Wall seconds of the whole test.
-        device: "cpu" or "cuda"; empty where none could be used.
-        device_name: Name of the processor or graphics card.
-        memory_bytes: Memory of the device; 0 if unknown.
-        free_memory_bytes: How much of it is free; 0 if unknown.
-        torch: Version; empty if it is not installed. The same for the next three.
-        numpy: Version.
-        robir: Version.
-        python: Version.
-        blender: How Cycles would be run, or why it cannot be.
-        held_out_psnr: dB on views that were kept aside; None if the fit did not end.
-        message: One sentence: that it works, or what is wrong.
-        cure: What to do; may be said of a machine that just about works, too.
-    """
-
-    ok: bool
+    ok: bool  # whether reconstructions will work
+    # 0, 4 (no usable device or memory), 5 (the fit is bad), or that of another error
     exit_code: int
-    seconds: float
-    device: str
-    device_name: str
-    memory_bytes: int
-    free_memory_bytes: int
-    torch: str
-    numpy: str
-    robir: str
-    python: str
-    blender: str
-    held_out_psnr: float | None
-    message: str
-    cure: str
+    seconds: float  # wall seconds of the whole test
+    device: str  # "cpu" or "cuda"; empty where none could be used
+    device_name: str  # name of the processor or graphics card
+    memory_bytes: int  # memory of the device; 0 if unknown
+    free_memory_bytes: int  # how much of it is free; 0 if unknown
+    torch: str  # version; empty if it is not installed. The same for the next three
+    numpy: str  # version
+    robir: str  # version
+    python: str  # version
+    blender: str  # how Cycles would be run, or why it cannot be
+    held_out_psnr: float | None  # dB on views that were kept aside; None if the fit did not end
+    message: str  # one sentence: that it works, or what is wrong
+    cure: str  # what to do; may be said of a machine that just about works, too
 
 
 def run_selftest(
@@ -70,8 +52,7 @@ def run_selftest(
 ) -> SelfTestVerdict:
     """Fit a tiny capture on a device as on the command line, and judge the machine by it.
 
-    Raises:
-        CancelledError: If the user asked to stop.
+    `CancelledError` if the user asked to stop.
     """
     begin = time.monotonic()
     found = Machine(name="", memory_bytes=0, free_memory_bytes=0)

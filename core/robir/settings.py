@@ -25,15 +25,15 @@ from robir.constants import of_setting
 from robir.errors import ConfigError
 from robir.jobs.names import read_regular
 
-_MAX_BYTES = 1 << 20
-"""Largest file of settings; all there are come to twenty thousand bytes."""
+_MAX_BYTES = 1 << 20  # largest file of settings; all there are come to twenty thousand bytes
 
+# settings of before by their names of today
 _RENAMED = {
     "geometry.stereo.image_side": "geometry.stereo_side",
     "geometry.refine.image_sides": "geometry.refine_sides",
 }
-"""Settings of before by their names of today."""
 
+# what msgspec says of types, for users
 _WORDS = {
     "Expected": "it must be",
     "`int`": "a whole number",
@@ -42,17 +42,12 @@ _WORDS = {
     "`bool`": "true or false",
     "`array`": "a list",
 }
-"""What msgspec says of types, for users."""
 
 SettingsT = TypeVar("SettingsT")
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Read a TOML file.
-
-    Raises:
-        ConfigError: If the file is missing or is not TOML.
-    """
+    """Read a TOML file; `ConfigError` if the file is missing or is not TOML."""
     try:
         return tomllib.loads(read_regular(path, _MAX_BYTES).decode("utf-8"))
     except OSError as error:
@@ -64,10 +59,8 @@ def read_toml(path: Path) -> dict[str, Any]:
 def parse_assignment(text: str) -> dict[str, Any]:
     """Table of one `section.key=value` from the command line.
 
-    The value is TOML; a bare word that is not TOML is taken as a string.
-
-    Raises:
-        ConfigError: If there is no `=` or no key before it.
+    The value is TOML; a bare word that is not TOML is taken as a string. `ConfigError` if there is
+    no `=` or no key before it.
     """
     dotted, separator, value = text.partition("=")
     keys = dotted.strip().split(".")
@@ -97,10 +90,8 @@ def merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]
 def settings_from_table(cls: type[SettingsT], table: Mapping[str, Any], source: str) -> SettingsT:
     """Build a frozen settings dataclass from a nested table; absent fields keep their defaults.
 
-    `source` is where the table comes from, for messages: a file name or "--set".
-
-    Raises:
-        ConfigError: If a key is unknown, a value has the wrong type, or the class refuses it.
+    `source` is where the table comes from, for messages: a file name or "--set". `ConfigError` if a
+    key is unknown, a value has the wrong type, or the class refuses it.
     """
     return _built(cls, checked_table(cls, table, source))
 
@@ -115,8 +106,7 @@ def checked_table(
 ) -> dict[str, Any]:
     """The table, section `section` of the whole, with every value of the annotated type.
 
-    Raises:
-        ConfigError: If a key is unknown, or a value has the wrong type.
+    `ConfigError` if a key is unknown, or a value has the wrong type.
     """
     hints = _hints(cls)
     names = [field.name for field in fields(cls)]

@@ -20,25 +20,17 @@ State = TypeVar("State")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Step(Generic[State]):
-    """One step of a stage.
+    """One step of a stage."""
 
-    Attributes:
-        name: By which it is left out: words with hyphens, unique in its stage.
-        purpose: What it is for, one line.
-        source: Where the method is from, or "ours".
-        run: Takes what is known and returns it with the step's part in it.
-        is_on_trial: Whether the stage works without it.
-    """
-
-    name: str
-    purpose: str
-    source: str
-    run: Callable[[State], State]
-    is_on_trial: bool = True
+    name: str  # by which it is left out: words with hyphens, unique in its stage
+    purpose: str  # what it is for, one line
+    source: str  # where the method is from, or "ours"
+    run: Callable[[State], State]  # takes what is known and returns it with the step's part in it
+    is_on_trial: bool = True  # whether the stage works without it
 
 
+# takes what is known after a step and returns it with something put right
 Correction = Callable[[Any], Any]
-"""Takes what is known after a step and returns it with something put right."""
 
 _corrections: dict[str, Correction] = {}
 
@@ -108,8 +100,7 @@ def _is_same(before: Any, after: Any) -> bool:
 def check_left_out(steps: Sequence[Step[Any]], without: Sequence[str], setting: str) -> None:
     """Refuse to leave out what is no step, or what the stage cannot do without.
 
-    Raises:
-        ConfigError: With the names that may stand there.
+    `ConfigError` with the names that may stand there.
     """
     on_trial = [step.name for step in steps if step.is_on_trial]
     for name in without:

@@ -26,8 +26,8 @@ _state = threading.local()
 _chosen: list[int] = []
 
 
+# environment variable by which who starts several runs at a time shares the cores out
 CORES = "ROBIR_CORES"
-"""Environment variable by which who starts several runs at a time shares the cores out."""
 
 
 def available_cores() -> int:
@@ -95,10 +95,8 @@ def side_by_side(
 ) -> list[Result]:
     """Results of a function, in the items' order, several at a time, at most `most`.
 
-    It must not change what another item's call reads.
-
-    Raises:
-        Exception: That of the first item, in order, that raised one; no further item is begun then.
+    It must not change what another item's call reads. `Exception` that of the first item, in order,
+    that raised one; no further item is begun then.
     """
     listed, is_in_vain = list(items), getattr(_state, "is_in_vain", threading.Event())
 

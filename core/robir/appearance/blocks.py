@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.floating[Any]]
-Table = tuple[Floats, Floats]
-"""Of every block: sum of the weighted values, and sum of the weights."""
+Table = tuple[Floats, Floats]  # of every block: sum of the weighted values, and sum of the weights
 
 # of a block. Samples in one share their materials and the errors of the mesh (unit frame)
 _SIDE = 0.2

@@ -32,8 +32,7 @@ from robir.steps import Pipeline
 
 Reals = NDArray[np.floating[Any]]
 
-_NUM_SAMPLES = 4000
-"""Samples by which views are predicted from others."""
+_NUM_SAMPLES = 4000  # samples by which views are predicted from others
 
 # by which suns must lead. A convex thing without highlights has no shadow that could tell; its suns
 # stay (standard errors)

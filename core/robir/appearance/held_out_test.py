@@ -24,19 +24,12 @@ EVERY = 5  # one view in so many takes no part in a fit
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HeldOutTest:
-    """By how much a candidate predicts held-out photographs better.
+    """By how much a candidate predicts held-out photographs better."""
 
-    Attributes:
-        plain: Root mean square error of the plainer model, display codes.
-        rich: The same of the candidate.
-        gain: Difference of the mean squared errors, of codes in 0..1.
-        error: Its standard error.
-    """
-
-    plain: float
-    rich: float
-    gain: float
-    error: float
+    plain: float  # root mean square error of the plainer model, display codes
+    rich: float  # the same of the candidate
+    gain: float  # difference of the mean squared errors, of codes in 0..1
+    error: float  # its standard error
 
     @property
     def is_passed(self) -> bool:

@@ -31,65 +31,49 @@ from robir.transport.observe import Observations, observe, spread_views
 Floats = NDArray[np.float32]
 Rows = NDArray[np.int64]
 
+# blocks of the surface: each is about 2 % of it, the smallest part that a person sees at once
 _NUM_BLOCKS = 64
-"""Blocks of the surface: each is about 2 % of it, the smallest part that a person sees at once."""
 
-_NUM_TEXELS = 12_000
-"""Texels that are judged, some 200 a block."""
+_NUM_TEXELS = 12_000  # texels that are judged, some 200 a block
 
-_NUM_VIEWS = 12
-"""Photographs that judge; they lie far apart."""
+_NUM_VIEWS = 12  # photographs that judge; they lie far apart
 
-_LEAST_VIEWS = 3
-"""Photographs that must show a block before it is judged."""
+_LEAST_VIEWS = 3  # photographs that must show a block before it is judged
 
+# weight of a normal's direction beside places in the unit frame: a thin plate has two sides
 _FACING = 0.5
-"""Weight of a normal's direction beside places in the unit frame: a thin plate has two sides."""
 
-_MARGIN = 2.0
-"""Standard errors over photographs by which a block must be worse than the mean."""
+_MARGIN = 2.0  # standard errors over photographs by which a block must be worse than the mean
 
+# dB against the mean that a person sees. True metal under normals that are a few degrees off loses
+# less, and so does smoothing, which removes shading that the light did not explain on purpose.
 _LOSS = 3.0
-"""dB against the mean that a person sees. True metal under normals that are a few degrees off loses
-less, and so does smoothing, which removes shading that the light did not explain on purpose."""
 
+# display error that nobody sees beside a texture; it is added to both sides of a comparison
 _UNSEEN = 5.0 / 255
-"""Display error that nobody sees beside a texture; it is added to both sides of a comparison."""
 
 _PARTS = ("metal", "specular", "smoothing")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Asset:
-    """A textured surface under its light.
+    """A textured surface under its light."""
 
-    Attributes:
-        problem: Scene under the chosen tone curve.
-        light: Solved light.
-        specular: Specular material of the samples.
-        values: Of the texels.
-    """
-
-    problem: Problem
-    light: Light
-    specular: SpecularMaterial
-    values: TexelAlbedo
+    problem: Problem  # scene under the chosen tone curve
+    light: Light  # solved light
+    specular: SpecularMaterial  # specular material of the samples
+    values: TexelAlbedo  # of the texels
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Loss:
-    """How the blocks of a surface are shown, against the mean of the photographs.
+    """How the blocks of a surface are shown, against the mean of the photographs."""
 
-    Attributes:
-        ours: (B,) mean squared display error of the asset, 0..1; NaN where too few photographs show
-            the block.
-        mean: (B,) the same of the photographs' mean.
-        error: (B,) standard error of the difference, over photographs.
-    """
-
+    # (B,) mean squared display error of the asset, 0..1; NaN where too few photographs show the
+    # block
     ours: Floats
-    mean: Floats
-    error: Floats
+    mean: Floats  # (B,) the same of the photographs' mean
+    error: Floats  # (B,) standard error of the difference, over photographs
 
     @property
     def decibels(self) -> Floats:
@@ -105,19 +89,12 @@ class Loss:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CheckResult:
-    """What was reverted, and what is still worse than the mean.
+    """What was reverted, and what is still worse than the mean."""
 
-    Attributes:
-        asset: What is left.
-        taken_back: Share of the blocks on which each part was reverted.
-        worst: Largest significant loss of a block, dB; 0 without one.
-        unexplained: Share of the blocks that are visibly worse than the mean.
-    """
-
-    asset: Asset
-    taken_back: dict[str, float]
-    worst: float
-    unexplained: float
+    asset: Asset  # what is left
+    taken_back: dict[str, float]  # share of the blocks on which each part was reverted
+    worst: float  # largest significant loss of a block, dB; 0 without one
+    unexplained: float  # share of the blocks that are visibly worse than the mean
 
     @property
     def choice(self) -> Choice:

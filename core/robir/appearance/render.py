@@ -24,8 +24,7 @@ from robir.workers import side_by_side
 
 Floats = NDArray[np.float32]
 
-MOST_POINTS = 1 << 20
-"""Points of several views that are shaded together; memory limits them."""
+MOST_POINTS = 1 << 20  # points of several views that are shaded together; memory limits them
 
 _PIXEL_RAYS = 2  # rays along each side of a pixel
 
@@ -67,44 +66,26 @@ class AtlasLookup:
 
 
 class TexturedSurface(NamedTuple):
-    """A surface with its texture.
+    """A surface with its texture."""
 
-    Attributes:
-        mesh: Unwrapped, unit frame, with the normals that it is rendered with.
-        tracer: Of the mesh.
-        lookup: Of its texels.
-        values: Of the texels.
-    """
-
-    mesh: Mesh
-    tracer: EmbreeTracer
-    lookup: AtlasLookup
-    values: TexelAlbedo
+    mesh: Mesh  # unwrapped, unit frame, with the normals that it is rendered with
+    tracer: EmbreeTracer  # of the mesh
+    lookup: AtlasLookup  # of its texels
+    values: TexelAlbedo  # of the texels
 
 
 @dataclass(frozen=True, slots=True)
 class _ViewPoints:
-    """Points that rays through the object's pixels of one view meet.
+    """Points that rays through the object's pixels of one view meet."""
 
-    Attributes:
-        view: The view.
-        rows: (M,) rows of the pixels.
-        columns: (M,) their columns.
-        pixel: (N,) pixel of each point.
-        texel: (N,) texel under it.
-        points: Where the points lie.
-        towards: (N, 3) float32, unit, towards the camera.
-        pixel_rays: Rays of each pixel.
-    """
-
-    view: View
-    rows: NDArray[np.int64]
-    columns: NDArray[np.int64]
-    pixel: NDArray[np.int64]
-    texel: NDArray[np.int64]
-    points: Texels
-    towards: Floats
-    pixel_rays: int
+    view: View  # the view
+    rows: NDArray[np.int64]  # (M,) rows of the pixels
+    columns: NDArray[np.int64]  # (M,) their columns
+    pixel: NDArray[np.int64]  # (N,) pixel of each point
+    texel: NDArray[np.int64]  # (N,) texel under it
+    points: Texels  # where the points lie
+    towards: Floats  # (N, 3) float32, unit, towards the camera
+    pixel_rays: int  # rays of each pixel
 
     @classmethod
     def of(cls, view: View, surface: TexturedSurface, rays: int) -> _ViewPoints:
@@ -135,18 +116,13 @@ class _ViewPoints:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RenderedView:
-    """What a view shows.
+    """What a view shows."""
 
-    Attributes:
-        image: (H, W, 3) uint8, display codes.
-        diffuse: (H, W, 3) uint8, the same of the matt texture: albedo times irradiance over pi,
-            also where the material is metal or glossy.
-        alpha: (H, W) uint8, how much of each pixel the asset covers, in 255ths.
-    """
-
-    image: NDArray[np.uint8]
+    image: NDArray[np.uint8]  # (H, W, 3) uint8, display codes
+    # (H, W, 3) uint8, the same of the matt texture: albedo times irradiance over pi, also where the
+    # material is metal or glossy
     diffuse: NDArray[np.uint8]
-    alpha: NDArray[np.uint8]
+    alpha: NDArray[np.uint8]  # (H, W) uint8, how much of each pixel the asset covers, in 255ths
 
 
 def render_views(

@@ -23,8 +23,7 @@ from robir.workers import num_workers
 
 Floats = NDArray[np.float32]
 
-CHUNK = 8192
-"""Normals that are averaged at a time; each takes some kilobytes."""
+CHUNK = 8192  # normals that are averaged at a time; each takes some kilobytes
 
 _REACH = 0.08  # distance that is averaged over (unit frame)
 # angle between normals at which they count a third: twice the error of a good one (degrees)
@@ -34,15 +33,10 @@ _NUM_SAMPLES = 128  # samples that are averaged at most, the nearest
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LitSurface:
-    """What light falls on.
+    """What light falls on."""
 
-    Attributes:
-        mesh: That textures belong to, unit frame.
-        transport: Baked, with the samples of the surface.
-    """
-
-    mesh: Mesh
-    transport: Transport
+    mesh: Mesh  # that textures belong to, unit frame
+    transport: Transport  # baked, with the samples of the surface
 
 
 def smoothed(position: Floats, normal: Floats, surfels: Surfels) -> Floats:
@@ -75,6 +69,7 @@ def _smooth_normals(state: LitSurface) -> LitSurface:
     )
 
 
+# what is done to the surface before it is asked for light
 SURFACE: tuple[Step[LitSurface], ...] = (
     Step(
         name="smooth-normals",
@@ -83,4 +78,3 @@ SURFACE: tuple[Step[LitSurface], ...] = (
         run=_smooth_normals,
     ),
 )
-"""What is done to the surface before it is asked for light."""

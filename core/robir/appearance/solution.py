@@ -30,28 +30,20 @@ _FIRMNESS = 3.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Solution:
-    """What is known of light and material.
+    """What is known of light and material."""
 
-    Attributes:
-        problem: The scene under the chosen tone curve, highlights and all.
-        matte: The same without the highlights that are known.
-        light: The light so far.
-        specular: Specular material so far; None before it was estimated.
-        prior: Level and hue of the light as a whole, as far as evidence gives them.
-        config: Sizes.
-        seed: Of sub-samples and clusters.
-        choices: What was chosen, for the report.
-        estimates: What evidence says of the light, for the report.
-    """
-
-    problem: Problem
-    matte: Problem
-    light: Light
-    config: AppearanceConfig
-    seed: int
+    problem: Problem  # the scene under the chosen tone curve, highlights and all
+    matte: Problem  # the same without the highlights that are known
+    light: Light  # the light so far
+    config: AppearanceConfig  # sizes
+    seed: int  # of sub-samples and clusters
+    # specular material so far; None before it was estimated
     specular: SpecularMaterial | None = None
+    # level and hue of the light as a whole, as far as evidence gives them
     prior: LightPrior = NO_PRIOR
+    # what was chosen, for the report
     choices: tuple[Choice, ...] = field(default=(), compare=False)
+    # what evidence says of the light, for the report
     estimates: tuple[Estimate, ...] = field(default=(), compare=False)
 
     @property
@@ -128,6 +120,7 @@ def _refit(state: Solution) -> Solution:
     return replace(state, light=refit(state.matte, state.light, state.prior, state.thorough))
 
 
+# all steps, in their order
 SOLUTION: tuple[Step[Solution], ...] = (
     Step(
         name="polish",
@@ -169,4 +162,3 @@ SOLUTION: tuple[Step[Solution], ...] = (
         run=_refit,
     ),
 )
-"""All steps, in their order."""

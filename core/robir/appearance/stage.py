@@ -45,8 +45,8 @@ from robir.workers import meanwhile
 REVISION = 91
 
 
+# all steps of the stage, in their order
 STEPS: tuple[Step[Any], ...] = (*COMPARISON, *SURFACE, *SEARCH, *SOLUTION, *ALBEDO, *TEXTURE)
-"""All steps of the stage, in their order."""
 
 _HELD_OUT_SIDE = 400  # longer side of the held-out views at most (pixels)
 

@@ -40,38 +40,23 @@ _DETAIL_VIEWS = 96  # of which the best show a spot's detail
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Texture:
-    """Texels of the atlas on their way.
+    """Texels of the atlas on their way."""
 
-    Attributes:
-        problem: Scene under the chosen tone curve.
-        light: Solved light.
-        specular: Specular material of the samples.
-        mesh: Unwrapped, unit frame.
-        tracer: Of the mesh that light is solved on.
-        own_tracer: Of the mesh itself, by whose faces texels are found.
-        capture: Photographs that take part, unit frame.
-        views: Those that albedo is read from, at the size that they are read at.
-        config: Sizes.
-        inside: (T, T) bool, texels that belong to a chart, row 0 at v = 1.
-        atlas: Face (N,) and barycentric coordinates (N, 3) of the texels that were solved.
-        values: Of these texels.
-        pipeline: Of the stage's steps, for what is read again.
-        checked: Result of the photograph check; None before it.
-    """
-
-    problem: Problem
-    light: Light
-    specular: SpecularMaterial
-    mesh: Mesh
-    tracer: EmbreeTracer
-    own_tracer: EmbreeTracer
-    capture: Capture
-    views: tuple[View, ...]
-    config: AppearanceConfig
-    inside: NDArray[np.bool_]
+    problem: Problem  # scene under the chosen tone curve
+    light: Light  # solved light
+    specular: SpecularMaterial  # specular material of the samples
+    mesh: Mesh  # unwrapped, unit frame
+    tracer: EmbreeTracer  # of the mesh that light is solved on
+    own_tracer: EmbreeTracer  # of the mesh itself, by whose faces texels are found
+    capture: Capture  # photographs that take part, unit frame
+    views: tuple[View, ...]  # those that albedo is read from, at the size that they are read at
+    config: AppearanceConfig  # sizes
+    inside: NDArray[np.bool_]  # (T, T) bool, texels that belong to a chart, row 0 at v = 1
+    # face (N,) and barycentric coordinates (N, 3) of the texels that were solved
     atlas: tuple[NDArray[np.int32], Floats]
-    values: TexelAlbedo
-    pipeline: Pipeline = field(compare=False)
+    values: TexelAlbedo  # of these texels
+    pipeline: Pipeline = field(compare=False)  # of the stage's steps, for what is read again
+    # result of the photograph check; None before it
     checked: CheckResult | None = field(default=None, compare=False)
 
 
@@ -158,6 +143,7 @@ def _hold_to_known_albedo(state: Texture) -> Texture:
     return replace(state, values=values, light=state.light.tinted(torch.from_numpy(off)))
 
 
+# what is done to the texels once their albedo was read, in this order
 TEXTURE: tuple[Step[Texture], ...] = (
     Step(
         name="last-word",
@@ -179,4 +165,3 @@ TEXTURE: tuple[Step[Texture], ...] = (
         is_on_trial=False,
     ),
 )
-"""What is done to the texels once their albedo was read, in this order."""

@@ -35,17 +35,11 @@ _MARGIN = 0.01  # what is left below the plane, unit frame
 
 
 class Base(NamedTuple):
-    """A plane with what it cuts off.
+    """A plane with what it cuts off."""
 
-    Attributes:
-        normal: (3,) unit, towards the cameras.
-        offset: Points p on it have normal . p = offset, unit frame.
-        share: Of the hull that lies below.
-    """
-
-    normal: Array
-    offset: float
-    share: float
+    normal: Array  # (3,) unit, towards the cameras
+    offset: float  # points p on it have normal . p = offset, unit frame
+    share: float  # of the hull that lies below
 
 
 def without_cone(hull: Sampled, photos: list[ReducedPhoto]) -> Sampled:

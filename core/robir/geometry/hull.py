@@ -20,8 +20,7 @@ from robir.geometry.lattice import Lattice, Sampled, resample
 from robir.geometry.rays import ReducedPhoto
 from robir.maths.vectors import farthest_points
 
-BEHIND = -1e3
-"""Signed distance a view gives to points behind its camera: no evidence."""
+BEHIND = -1e3  # signed distance a view gives to points behind its camera: no evidence
 
 
 HULL_VIEWS = 48  # most views the visual hull is carved with, and the ground is told by
@@ -112,8 +111,7 @@ def hull_of(photos: list[ReducedPhoto], *, guessed: bool = False) -> HullCarver:
 def carve(carver: HullCarver, cells: int) -> Sampled:
     """Signed distance of the visual hull on a lattice of so many cells that fits it closely.
 
-    Raises:
-        CaptureError: If the masks leave nothing inside the bounding sphere.
+    `CaptureError` if the masks leave nothing inside the bounding sphere.
     """
     coarse = Lattice.around(np.full(3, -1.05), np.full(3, 1.05), 48, margin=0)
     nodes = coarse.nodes()

@@ -18,17 +18,11 @@ from torch.nn.functional import embedding_bag, pad
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lattice:
-    """Nodes on a regular grid with cubic cells.
+    """Nodes on a regular grid with cubic cells."""
 
-    Attributes:
-        lower: Position of node (0, 0, 0), unit frame.
-        cell: Edge of a cell, unit frame.
-        shape: Number of nodes along x, y and z, each at least 2.
-    """
-
-    lower: tuple[float, float, float]
-    cell: float
-    shape: tuple[int, int, int]
+    lower: tuple[float, float, float]  # position of node (0, 0, 0), unit frame
+    cell: float  # edge of a cell, unit frame
+    shape: tuple[int, int, int]  # number of nodes along x, y and z, each at least 2
 
     @classmethod
     def around(cls, lower: np.ndarray, upper: np.ndarray, cells: int, margin: int = 3) -> Lattice:
@@ -146,15 +140,10 @@ class Lattice:
 
 
 class Sampled(NamedTuple):
-    """A function sampled at the nodes of a lattice, mostly a signed distance, negative inside.
+    """A function sampled at the nodes of a lattice, mostly a signed distance, negative inside."""
 
-    Attributes:
-        lattice: The nodes.
-        values: (N,) one each, unit frame.
-    """
-
-    lattice: Lattice
-    values: Tensor
+    lattice: Lattice  # the nodes
+    values: Tensor  # (N,) one each, unit frame
 
 
 def taken(values: Tensor, index: Tensor) -> Tensor:

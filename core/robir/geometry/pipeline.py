@@ -53,6 +53,7 @@ def _brighter(view: View, stops: float) -> View:
     return replace(view, image_display=display.astype(np.uint8))
 
 
+# what is done to the photographs before the fit
 BRIGHTNESS: tuple[Step[Capture], ...] = (
     Step(
         name="even-brightness",
@@ -61,7 +62,6 @@ BRIGHTNESS: tuple[Step[Capture], ...] = (
         run=equal_brightness,
     ),
 )
-"""What is done to the photographs before the fit."""
 
 # distance from the plane within which a surface may be ground that the fit left bumpy (cells)
 _BUMPY = 4.0
@@ -70,23 +70,14 @@ _BUMPY_GAIN = 1.1  # times as many columns as are ground for certain from which 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Start:
-    """What the fit starts from.
+    """What the fit starts from."""
 
-    Attributes:
-        capture: Evened, unit frame.
-        config: The stage's configuration.
-        generator: Source of random numbers.
-        photos: Training photographs at the size of the fit.
-        hull: The visual hull, with flat ground once that is found.
-        backdrop: The ground and what lies behind it; None where there is none.
-    """
-
-    capture: Capture
-    config: GeometryConfig
-    generator: torch.Generator
-    photos: list[ReducedPhoto]
-    hull: Sampled
-    backdrop: Backdrop | None = None
+    capture: Capture  # evened, unit frame
+    config: GeometryConfig  # the stage's configuration
+    generator: torch.Generator  # source of random numbers
+    photos: list[ReducedPhoto]  # training photographs at the size of the fit
+    hull: Sampled  # the visual hull, with flat ground once that is found
+    backdrop: Backdrop | None = None  # the ground and what lies behind it; None where there is none
 
     @property
     def distances(self) -> Tensor:
@@ -107,6 +98,7 @@ def _cut_cone(state: Start) -> Start:
     return replace(state, hull=without_cone(state.hull, state.photos))
 
 
+# what is done to the visual hull before the fit
 GROUND: tuple[Step[Start], ...] = (
     Step(
         name="ground",
@@ -121,34 +113,21 @@ GROUND: tuple[Step[Start], ...] = (
         run=_cut_cone,
     ),
 )
-"""What is done to the visual hull before the fit."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FitLevel:
-    """A level of the fit that has ended; steps change its field's distances by `mended`.
+    """A level of the fit that has ended; steps change its field's distances by `mended`."""
 
-    Attributes:
-        field: Field of the level.
-        network: Its colour network.
-        sampler: Source of rays.
-        hull: The visual hull.
-        mirroring: What was learnt of parts that mirror.
-        selection: What photographs say of surfaces.
-        backdrop: The ground; None where there is none, or none any more.
-        has_ended: Whether the fit goes no further.
-        changes: How often something was changed in place.
-    """
-
-    field: Field
-    network: ColourNetwork
-    sampler: RaySampler
-    hull: Sampled
-    mirroring: Mirroring
-    selection: Selection
-    backdrop: Backdrop | None
-    has_ended: bool = False
-    changes: int = 0
+    field: Field  # field of the level
+    network: ColourNetwork  # its colour network
+    sampler: RaySampler  # source of rays
+    hull: Sampled  # the visual hull
+    mirroring: Mirroring  # what was learnt of parts that mirror
+    selection: Selection  # what photographs say of surfaces
+    backdrop: Backdrop | None  # the ground; None where there is none, or none any more
+    has_ended: bool = False  # whether the fit goes no further
+    changes: int = 0  # how often something was changed in place
 
     @property
     def surface(self) -> Sampled:
@@ -197,6 +176,7 @@ def _compare(state: FitLevel) -> FitLevel:
     return replace(state, has_ended=state.selection.has_better(state.surface))
 
 
+# what is done at the end of every level of the fit, in this order
 LEVEL: tuple[Step[FitLevel], ...] = (
     Step(
         name="missing-parts",
@@ -224,7 +204,6 @@ LEVEL: tuple[Step[FitLevel], ...] = (
         run=_compare,
     ),
 )
-"""What is done at the end of every level of the fit, in this order."""
 
 
 class Levels:
@@ -275,19 +254,12 @@ class Levels:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PostProcessing:
-    """A surface on its way to a mesh.
+    """A surface on its way to a mesh."""
 
-    Attributes:
-        dense: As it was extracted.
-        mesh: As far as it has got.
-        config: The stage's configuration.
-        warn: Takes a sentence for the user.
-    """
-
-    dense: Dense
-    mesh: Mesh
-    config: GeometryConfig
-    warn: Callable[[str], None]
+    dense: Dense  # as it was extracted
+    mesh: Mesh  # as far as it has got
+    config: GeometryConfig  # the stage's configuration
+    warn: Callable[[str], None]  # takes a sentence for the user
 
 
 def post_processed(
@@ -298,6 +270,7 @@ def post_processed(
     return pipeline.run(POST_PROCESSING, start).mesh
 
 
+# what is done to the surface that was chosen, in this order
 POST_PROCESSING: tuple[Step[PostProcessing], ...] = (
     Step(
         name="facets",
@@ -328,4 +301,3 @@ POST_PROCESSING: tuple[Step[PostProcessing], ...] = (
         run=lambda state: replace(state, mesh=with_creases(state.mesh)),
     ),
 )
-"""What is done to the surface that was chosen, in this order."""

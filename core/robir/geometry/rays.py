@@ -20,17 +20,12 @@ _RING = 4  # width of the band around the mask whose pixels teach the field what
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReducedPhoto:
-    """A view reduced to the size the fit works at.
+    """A view reduced to the size the fit works at."""
 
-    Attributes:
-        camera: Camera of exactly this size, unit frame.
-        premultiplied_display: (H, W, 3) float32, display values times coverage, in [0, 1].
-        coverage: (H, W) float32 in [0, 1].
-    """
-
-    camera: Camera
+    camera: Camera  # camera of exactly this size, unit frame
+    # (H, W, 3) float32, display values times coverage, in [0, 1]
     premultiplied_display: NDArray[np.float32]
-    coverage: NDArray[np.float32]
+    coverage: NDArray[np.float32]  # (H, W) float32 in [0, 1]
 
 
 def reduce_view(view: View, side: int) -> ReducedPhoto:

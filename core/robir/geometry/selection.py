@@ -45,35 +45,21 @@ _FACE_BUDGET = 24_000  # most triangles of the result; up to that many photograp
 
 
 class Dense(NamedTuple):
-    """A surface as it was extracted.
+    """A surface as it was extracted."""
 
-    Attributes:
-        mesh: Without texture coordinates, unit frame.
-        grain: Width of what may be noise of it, unit frame.
-        faces: Triangles that it deserves.
-    """
-
-    mesh: Mesh
-    grain: float
-    faces: int
+    mesh: Mesh  # without texture coordinates, unit frame
+    grain: float  # width of what may be noise of it, unit frame
+    faces: int  # triangles that it deserves
 
 
 class SurfaceCandidate(NamedTuple):
-    """A surface that may take the place of the fit.
+    """A surface that may take the place of the fit."""
 
-    Attributes:
-        name: As in the report.
-        mesh: Smooth.
-        cell: Of the lattice that it was extracted from, unit frame.
-        ahead: By how many standard errors photographs predict each other better over it.
-        more: How many times as much the fit bends.
-    """
-
-    name: str
-    mesh: Mesh
-    cell: float
-    ahead: float
-    more: float
+    name: str  # as in the report
+    mesh: Mesh  # smooth
+    cell: float  # of the lattice that it was extracted from, unit frame
+    ahead: float  # by how many standard errors photographs predict each other better over it
+    more: float  # how many times as much the fit bends
 
     @property
     def lead(self) -> float:

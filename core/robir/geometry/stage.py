@@ -35,14 +35,12 @@ from robir.jobs.context import Choice, Reporter, StageContext
 from robir.jobs.paths import of_tile, replacing, write_json
 from robir.steps import Pipeline, Step, check_left_out
 
-REVISION = 43
-"""Raised whenever the same input gives another result."""
+REVISION = 43  # raised whenever the same input gives another result
 
-MASKING = 0.02
-"""Share of the stage that cutting masks again takes."""
+MASKING = 0.02  # share of the stage that cutting masks again takes
 
+# all steps of the stage, in their order; LEVEL's once a level of the fit
 STEPS: tuple[Step[Any], ...] = (*BRIGHTNESS, *GROUND, *LEVEL, *POST_PROCESSING)
-"""All steps of the stage, in their order; LEVEL's once a level of the fit."""
 
 
 def run(context: StageContext[GeometryConfig]) -> dict[str, float | str]:
@@ -112,21 +110,14 @@ def _take(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FoundSurface:
-    """What the stage finds.
+    """What the stage finds."""
 
-    Attributes:
-        mesh: Unwrapped, unit frame.
-        metrics: For the stage's manifest.
-        choices: What was chosen, for the report.
-        steps: Which steps changed nothing, and what each cost, as `Pipeline.plain` has it.
-        ground: The flat ground that the mesh shows too; None where it shows none.
-    """
-
-    mesh: Mesh
-    metrics: dict[str, float | str]
-    choices: tuple[Choice, ...]
+    mesh: Mesh  # unwrapped, unit frame
+    metrics: dict[str, float | str]  # for the stage's manifest
+    choices: tuple[Choice, ...]  # what was chosen, for the report
+    # which steps changed nothing, and what each cost, as `Pipeline.plain` has it
     steps: dict[str, Any]
-    ground: SupportPlane | None
+    ground: SupportPlane | None  # the flat ground that the mesh shows too; None where it shows none
 
 
 def reconstruct(
@@ -140,10 +131,8 @@ def reconstruct(
     """Surface of a capture in the unit frame.
 
     `watch` is called every few steps of the fit with the share of it that is done and its field as
-    it is, at last with 1.0 and the finished field.
-
-    Raises:
-        CaptureError: If there are fewer than three training views with a mask.
+    it is, at last with 1.0 and the finished field. `CaptureError` if there are fewer than three
+    training views with a mask.
     """
     if len(capture.train) < 3:
         raise CaptureError(

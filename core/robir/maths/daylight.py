@@ -14,22 +14,17 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+# Greenness of light per blueness: orange light is a little greener, as the line of daylight and of
+# black bodies is bent in these logarithms. Of suns against the rest -.22, of parts of skies -.20.
 GREEN_OF_BLUE = -0.2
-"""Greenness of light per blueness: orange light is a little greener, as the line of daylight and of
-black bodies is bent in these logarithms. Of suns against the rest -.22, of parts of skies -.20."""
 
 
 @dataclass(frozen=True, slots=True)
 class HueSpread:
-    """Standard deviations of a light's hue, log units.
+    """Standard deviations of a light's hue, log units."""
 
-    Attributes:
-        blue: Of the blueness, log of blue over red.
-        green: Of the greenness beyond daylight's, log of green over the geometric mean of both.
-    """
-
-    blue: float
-    green: float
+    blue: float  # of the blueness, log of blue over red
+    green: float  # of the greenness beyond daylight's, log of green over the geometric mean of both
 
     def squared(self, log_colour: Tensor) -> Tensor:
         """Squares of a hue's coordinates in deviations, added up: (...) of colours (..., 3)."""
@@ -47,14 +42,12 @@ class HueSpread:
         return blue.abs() / self.blue + green.abs() / self.green
 
 
+# Of all that lights a thing. Blueness as cameras balance it: unbalanced it is .27.
 WHOLE = HueSpread(blue=0.13, green=0.07)
-"""Of all that lights a thing. Blueness as cameras balance it: unbalanced it is .27."""
 
-SUN = HueSpread(blue=0.65, green=0.08)
-"""Of a sun against the sky."""
+SUN = HueSpread(blue=0.65, green=0.08)  # of a sun against the sky
 
-PART = HueSpread(blue=0.5, green=0.1)
-"""Of parts of a sky against its mean."""
+PART = HueSpread(blue=0.5, green=0.1)  # of parts of a sky against its mean
 
 
 def hue(log_colour: Tensor) -> tuple[Tensor, Tensor]:

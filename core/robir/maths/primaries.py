@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 
 Matrix = NDArray[np.float64]
 
-D50, D65 = (0.3457, 0.3585), (0.3127, 0.3290)
-"""Whites, CIE xy."""
+D50, D65 = (0.3457, 0.3585), (0.3127, 0.3290)  # whites, CIE xy
 
+# red, green and blue of Rec.709 and sRGB, CIE xy; their white is D65
 REC709 = ((0.64, 0.33), (0.30, 0.60), (0.15, 0.06))
-"""Red, green and blue of Rec.709 and sRGB, CIE xy; their white is D65."""
 
 _BRADFORD = np.array(
     [[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]]

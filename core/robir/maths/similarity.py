@@ -14,17 +14,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Similarity:
-    """x -> scale * turn @ x + shift.
+    """x -> scale * turn @ x + shift."""
 
-    Attributes:
-        turn: (3, 3) rotation; with a determinant of -1 it mirrors as well.
-        scale: Above 0.
-        shift: (3,).
-    """
-
-    turn: Array
-    scale: float
-    shift: Array
+    turn: Array  # (3, 3) rotation; with a determinant of -1 it mirrors as well
+    scale: float  # above 0
+    shift: Array  # (3,)
 
     def __call__(self, points: Array) -> Array:
         """Points (N, 3) where it brings them."""

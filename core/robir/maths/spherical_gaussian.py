@@ -25,17 +25,11 @@ _NOTHING = 110.0
 
 @dataclass(frozen=True, slots=True)
 class SphericalGaussians:
-    """A mixture of lobes.
+    """A mixture of lobes."""
 
-    Attributes:
-        axis: (K, 3), unit, world, towards the light.
-        sharpness: (K,), above 0; about 1 / sharpness is the squared width in radians.
-        amplitude: (K, C), radiance on the axis, linear.
-    """
-
-    axis: Tensor
-    sharpness: Tensor
-    amplitude: Tensor
+    axis: Tensor  # (K, 3), unit, world, towards the light
+    sharpness: Tensor  # (K,), above 0; about 1 / sharpness is the squared width in radians
+    amplitude: Tensor  # (K, C), radiance on the axis, linear
 
 
 def lobe_shapes(lobes: SphericalGaussians, direction: Tensor) -> Tensor:

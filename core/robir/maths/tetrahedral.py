@@ -23,15 +23,10 @@ Planes = tuple[Tensor, ...]
 
 
 class ColourLattice(NamedTuple):
-    """Colours at the nodes of an n x n x n lattice.
+    """Colours at the nodes of an n x n x n lattice."""
 
-    Attributes:
-        planes: Three tensors of shape (n**3,), one per output channel, first axis slowest.
-        size: Nodes per axis, n.
-    """
-
-    planes: Planes
-    size: int
+    planes: Planes  # three tensors of shape (n**3,), one per output channel, first axis slowest
+    size: int  # nodes per axis, n
 
     @staticmethod
     def from_nodes(nodes: Tensor) -> ColourLattice:

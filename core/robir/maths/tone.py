@@ -77,10 +77,8 @@ def families() -> tuple[AbstractToneCurve, ...]:
 def curve_from_name(name: str, parameters: Mapping[str, float] | None = None) -> AbstractToneCurve:
     """Curve of a family name and its parameters, as tone_curve.json holds them.
 
-    Every family takes `display_power` beside its own, see tone_power.py.
-
-    Raises:
-        ConfigError: If the family is unknown or the parameters are not its own.
+    Every family takes `display_power` beside its own, see tone_power.py. `ConfigError` if the
+    family is unknown or the parameters are not its own.
     """
     known = {curve.name: curve for curve in (*families(), LogToneCurve())}
     if name not in known:

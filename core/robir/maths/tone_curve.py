@@ -42,20 +42,15 @@ def linear_from_srgb(code: Tensor) -> Tensor:
 
 
 class AbstractToneCurve(ABC):
-    """One family of tone curves with its parameters fixed.
+    """One family of tone curves with its parameters fixed."""
 
-    Attributes:
-        name: Identifier of the family, as in tone_curve.json.
-        blender_view_transform: Name of Blender's view transform that does the same, or None.
-        blender_gamma: Blender's view setting "Gamma" with which it does.
-        saturation_level: Display code from which a value means "at least this bright".
-        mixes_channels: Whether a display channel depends on more than its own linear one.
-    """
-
-    name: str
+    name: str  # identifier of the family, as in tone_curve.json
+    # name of Blender's view transform that does the same, or None
     blender_view_transform: str | None
-    blender_gamma: float = 1.0
+    blender_gamma: float = 1.0  # blender's view setting "Gamma" with which it does
+    # display code from which a value means "at least this bright"
     saturation_level: ClassVar[float] = SATURATION_LEVEL
+    # whether a display channel depends on more than its own linear one
     mixes_channels: bool = False
 
     @property

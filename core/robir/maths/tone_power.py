@@ -11,8 +11,7 @@ from torch import Tensor
 from robir.errors import ConfigError
 from robir.maths.tone_curve import AbstractToneCurve
 
-DISPLAY_POWER = "display_power"
-"""Name of p among the parameters in tone_curve.json."""
+DISPLAY_POWER = "display_power"  # name of p among the parameters in tone_curve.json
 
 
 class PoweredToneCurve(AbstractToneCurve):

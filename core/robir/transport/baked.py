@@ -23,6 +23,7 @@ from robir.transport.observe import Observations, observe, spread_views
 from robir.transport.surfels import Surfels, sample_surfels
 from robir.transport.visibility import Visibility, trace_visibility
 
+# what each file has to hold, see `stored_arrays`
 _FORMS = {
     "surfels.npz": {
         "position": "f4 S 3", "normal": "f4 S 3", "spacing": "f", "display": "u1 S V 3",
@@ -34,7 +35,6 @@ _FORMS = {
     },
     "bounce.npz": {"data": "f4 *", "indices": "i *", "indptr": "i *"},
 }  # fmt: skip
-"""What each file has to hold, see `stored_arrays`."""
 
 
 # distance that rays start above the surface, unit frame; larger forgives errors of the mesh,
@@ -44,17 +44,11 @@ RAY_OFFSET = 0.006
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Transport:
-    """Surface samples, what they see and how the photographs show them.
+    """Surface samples, what they see and how the photographs show them."""
 
-    Attributes:
-        surfels: Samples of the surface, unit frame.
-        visibility: Bits and one-bounce matrix of the samples.
-        observations: Colours of the samples in the training views.
-    """
-
-    surfels: Surfels
-    visibility: Visibility
-    observations: Observations
+    surfels: Surfels  # samples of the surface, unit frame
+    visibility: Visibility  # bits and one-bounce matrix of the samples
+    observations: Observations  # colours of the samples in the training views
 
     def without_views(self, names: Collection[str]) -> Transport:
         """The transport without what some views show."""

@@ -20,36 +20,26 @@ from robir.workers import side_by_side
 
 Floats = NDArray[np.float32]
 
-MASK_INSIDE = 250
-"""Mask code from which a pixel is wholly object."""
+MASK_INSIDE = 250  # mask code from which a pixel is wholly object
 
-DEPTH_JUMP = 0.03
-"""Smallest step of depth, unit frame, that counts as the outline of a nearer part."""
+DEPTH_JUMP = 0.03  # smallest step of depth, unit frame, that counts as the outline of a nearer part
 
+# views flatter than this (78 degrees off the normal) are not read: a pixel there covers five times
+# its width of surface
 MIN_COSINE = 0.2
-"""Views flatter than this (78 degrees off the normal) are not read: a pixel there covers five
-times its width of surface."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Observations:
-    """Colours of surface points in the photographs.
+    """Colours of surface points in the photographs."""
 
-    Attributes:
-        display: (N, V, 3) uint8, display-referred; meaningless where `weight` is 0.
-        weight: (N, V) float32, 0 where the view does not show the point, else its cosine.
-        clipped: (N, V, 3) bool, code 255: the true value is at least this bright.
-        off_axis: (N, V) uint8, as `off_axis_codes` gives it; meaningless where `weight` is 0.
-        positions: (V, 3) float32, camera centres.
-        views: Names of the V views.
-    """
-
-    display: NDArray[np.uint8]
-    weight: Floats
-    clipped: NDArray[np.bool_]
+    display: NDArray[np.uint8]  # (N, V, 3) uint8, display-referred; meaningless where `weight` is 0
+    weight: Floats  # (N, V) float32, 0 where the view does not show the point, else its cosine
+    clipped: NDArray[np.bool_]  # (N, V, 3) bool, code 255: the true value is at least this bright
+    # (N, V) uint8, as `off_axis_codes` gives it; meaningless where `weight` is 0
     off_axis: NDArray[np.uint8]
-    positions: Floats
-    views: tuple[str, ...]
+    positions: Floats  # (V, 3) float32, camera centres
+    views: tuple[str, ...]  # names of the V views
 
     def subset(self, keep: NDArray[np.bool_]) -> Observations:
         """The points where `keep` holds."""

@@ -20,8 +20,7 @@ REVISION = 5
 def run(context: StageContext[TransportConfig]) -> dict[str, Any]:
     """Bake visibility, the one-bounce matrix and observations; counts for the manifest.
 
-    Raises:
-        CaptureError: If hardly any surface is seen by the cameras.
+    `CaptureError` if hardly any surface is seen by the cameras.
     """
     context.reporter.progress(0.0, "reading the mesh and the photographs")
     capture = load_settled(context.paths).normalised()

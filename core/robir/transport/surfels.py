@@ -14,28 +14,22 @@ from robir.workers import num_workers
 
 Floats = NDArray[np.float32]
 
+# how far apart two samples with opposite normals count, in unit-frame lengths: a nearest-sample
+# query must not reach through a thin wall
 NORMAL_REACH = 0.5
-"""How far apart two samples with opposite normals count, in unit-frame lengths: a nearest-sample
-query must not reach through a thin wall."""
 
+# cell, in spacings of the samples and in unit normals, whose points share a nearest sample: they
+# lie 3 % further from it than from their own on average
 SHARED_CELL = 0.25
-"""Cell, in spacings of the samples and in unit normals, whose points share a nearest sample: they
-lie 3 % further from it than from their own on average."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Surfels:
-    """Even samples of the surface, unit frame.
+    """Even samples of the surface, unit frame."""
 
-    Attributes:
-        position: (S, 3) float32.
-        normal: (S, 3) float32, unit, outward, interpolated from the vertices.
-        spacing: Typical distance between neighbours.
-    """
-
-    position: Floats
-    normal: Floats
-    spacing: float
+    position: Floats  # (S, 3) float32
+    normal: Floats  # (S, 3) float32, unit, outward, interpolated from the vertices
+    spacing: float  # typical distance between neighbours
 
     def __len__(self) -> int:
         """Number of samples."""

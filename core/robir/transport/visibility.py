@@ -30,28 +30,22 @@ Floats = NDArray[np.float32]
 
 CHUNK = 400_000
 
+# cosine below which rays to a sun no longer start the whole offset above the surface: their start
+# would move along them by more than ten times as much
 GRAZING = 0.1
-"""Cosine below which rays to a sun no longer start the whole offset above the surface: their start
-would move along them by more than ten times as much."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Visibility:
-    """What each surface sample sees.
+    """What each surface sample sees."""
 
-    Attributes:
-        directions: (D, 3) float32, unit, evenly spread over the sphere.
-        bits: (S, D/8) uint8, packed; 1 where the direction is above the surface and unblocked.
-        bounce: (S, S) sparse; row i applied to exitant radiance gives indirect irradiance at i.
-        is_traced: Whether surfaces block light; false only in the ablation without visibility.
-        offset: Distance that rays started above the surface, unit frame.
-    """
-
-    directions: Floats
+    directions: Floats  # (D, 3) float32, unit, evenly spread over the sphere
+    # (S, D/8) uint8, packed; 1 where the direction is above the surface and unblocked
     bits: NDArray[np.uint8]
+    # (S, S) sparse; row i applied to exitant radiance gives indirect irradiance at i
     bounce: csr_matrix
-    is_traced: bool
-    offset: float
+    is_traced: bool  # whether surfaces block light; false only in the ablation without visibility
+    offset: float  # distance that rays started above the surface, unit frame
 
     def unpacked(self) -> NDArray[np.bool_]:
         """Bits as booleans, (S, D)."""

@@ -16,17 +16,13 @@ from torch import Tensor
 
 from robir.appearance.photometry.statistics import Pairs
 
-_DRAWS = 8
-"""Partners of a sample: the nearest in hue of as many draws, so that they lie all over."""
+_DRAWS = 8  # partners of a sample: the nearest in hue of as many draws, so that they lie all over
 
-_SHARE = 8
-"""A draw is one sample in so many."""
+_SHARE = 8  # a draw is one sample in so many
 
-_FEWEST = 60
-"""Samples of a draw at least; with fewer than twice as many in all there are no pairs."""
+_FEWEST = 60  # samples of a draw at least; with fewer than twice as many in all there are no pairs
 
-_HUE = 0.06
-"""Difference of two log chromaticities at which a pair counts exp(-1/2)."""
+_HUE = 0.06  # difference of two log chromaticities at which a pair counts exp(-1/2)
 
 
 def far_pairs(log_albedo: Tensor, whole: Tensor) -> Pairs | None:

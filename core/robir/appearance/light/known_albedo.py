@@ -24,26 +24,18 @@ _HUE_SPREAD = 0.1
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class KnownAlbedo:
-    """A spot whose albedo the user knows.
+    """A spot whose albedo the user knows."""
 
-    Attributes:
-        texel: u and v on the atlas, 0..1, v upwards.
-        position: (3,) of the spot, unit frame.
-        normal: (3,) unit.
-        albedo: (3,) linear Rec.709, above 0.
-    """
-
-    texel: tuple[float, float]
-    position: Floats
-    normal: Floats
-    albedo: Floats
+    texel: tuple[float, float]  # u and v on the atlas, 0..1, v upwards
+    position: Floats  # (3,) of the spot, unit frame
+    normal: Floats  # (3,) unit
+    albedo: Floats  # (3,) linear Rec.709, above 0
 
     @classmethod
     def of(cls, mesh: Mesh, white_point: tuple[float, ...]) -> KnownAlbedo | None:
         """The spot of the setting `appearance.white_point` on an unwrapped mesh, if there is one.
 
-        Raises:
-            ConfigError: If no face lies at its u and v, over the tiles if the mesh has such.
+        `ConfigError` if no face lies at its u and v, over the tiles if the mesh has such.
         """
         if not white_point:
             return None

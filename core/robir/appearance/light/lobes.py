@@ -28,9 +28,9 @@ from robir.maths.spherical_gaussian import SphericalGaussians, amplitude_from_ir
 from robir.maths.vectors import fibonacci_sphere
 from robir.transport.visibility import Visibility
 
+# Sharpness of a soft lobe per number of lobes: neighbours then overlap at 60 % of their peak. It
+# says what amplitudes of a light mean.
 SOFT_SHARPNESS_PER_LOBE = 0.17
-"""Sharpness of a soft lobe per number of lobes: neighbours then overlap at 60 % of their peak.
-It says what amplitudes of a light mean."""
 
 MEAN_ALBEDO = 0.3  # geometric mean of the albedos of common scenes
 START_ALBEDO = 0.35  # median albedo under the light that a search begins with
@@ -52,18 +52,12 @@ _RATE = 0.06  # learning rate of the first step; it falls to a tenth
 
 @dataclass(frozen=True, kw_only=True)
 class Transfer:
-    """Irradiance at the samples that take part, per unit of each light.
+    """Irradiance at the samples that take part, per unit of each light."""
 
-    Attributes:
-        soft: (U, K) for unit amplitude of each soft lobe.
-        sharp: (U, J) for unit energy of each sharp lobe, visibility included.
-        indirect: (U, 3) from surfaces, fixed by the photographs.
-        certain: (U,) bool, where an error of the mesh neither gives nor takes a sun; all if None.
-    """
-
-    soft: Tensor
-    sharp: Tensor
-    indirect: Tensor
+    soft: Tensor  # (U, K) for unit amplitude of each soft lobe
+    sharp: Tensor  # (U, J) for unit energy of each sharp lobe, visibility included
+    indirect: Tensor  # (U, 3) from surfaces, fixed by the photographs
+    # (U,) bool, where an error of the mesh neither gives nor takes a sun; all if None
     certain: Tensor | None = None
 
     @cached_property
@@ -74,15 +68,10 @@ class Transfer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Amplitudes:
-    """Strength of the lights.
+    """Strength of the lights."""
 
-    Attributes:
-        soft: (K, 3) radiance at the lobe's peak.
-        sharp: (J, 3) irradiance at normal incidence.
-    """
-
-    soft: Tensor
-    sharp: Tensor
+    soft: Tensor  # (K, 3) radiance at the lobe's peak
+    sharp: Tensor  # (J, 3) irradiance at normal incidence
 
     def irradiance(self, transfer: Transfer) -> Tensor:
         """Irradiance (U, 3) at the samples of a transfer."""
@@ -150,18 +139,14 @@ def log_sent(irradiance: Tensor, indirect: Tensor) -> Tensor:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Priors:
-    """What a solve knows of albedo and light beforehand.
+    """What a solve knows of albedo and light beforehand."""
 
-    Attributes:
-        light: Prior of the light as a whole; it weighs as `_HUE` does, per squared deviation.
-        far: Weight of equal albedo where the hue is one, see far_pairs.py.
-        shadow: Weight of equal albedo on both sides of a shadow.
-        smooth: Weight of neighbouring soft lobes being alike.
-    """
-
+    # prior of the light as a whole; it weighs as `_HUE` does, per squared deviation
     light: LightPrior = NO_PRIOR
-    far: float = 0.0
+    far: float = 0.0  # weight of equal albedo where the hue is one, see far_pairs.py
+    # weight of equal albedo on both sides of a shadow
     shadow: float = field(default_factory=lambda: _SHADOW)
+    # weight of neighbouring soft lobes being alike
     smooth: float = field(default_factory=lambda: _SMOOTH)
 
 

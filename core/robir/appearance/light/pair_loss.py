@@ -25,20 +25,16 @@ class PairWeights:
     than its partner. With weight b where a pair's first comes out brighter by d and k where darker,
     the loss is (b + k) / 2 |d| + (b - k) / 2 d; the linear part is summed over a sample's pairs
     beforehand.
-
-    Attributes:
-        pairs: The pairs.
-        spread: Sparse (U, P), adds a pair's value to its first sample and takes it off its second,
-            at a tenth of the cost of torch's scatter.
-        size: (3, P) weight of the absolute difference, (b + k) / 2. Channels come first, as
-            look-ups of single numbers cost less.
-        pull: (3, U) slope of the linear part at each sample.
     """
 
-    pairs: Pairs
+    pairs: Pairs  # the pairs
+    # sparse (U, P), adds a pair's value to its first sample and takes it off its second, at a tenth
+    # of the cost of torch's scatter
     spread: csr_matrix
+    # (3, P) weight of the absolute difference, (b + k) / 2. Channels come first, as look-ups of
+    # single numbers cost less
     size: Tensor
-    pull: Tensor
+    pull: Tensor  # (3, U) slope of the linear part at each sample
 
     @classmethod
     def of(cls, pairs: Pairs, clipped: Tensor) -> PairWeights:

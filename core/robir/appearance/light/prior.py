@@ -11,19 +11,13 @@ from torch import Tensor
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LightPrior:
-    """Of the mean irradiance that sky and suns send to the samples that take part.
+    """Of the mean irradiance that sky and suns send to the samples that take part."""
 
-    Attributes:
-        hue: (3,) of its logarithm, less the mean over the channels; None if not known.
-        hue_error: One standard deviation of each channel of that.
-        level: Mean over the channels of its logarithm; None if not known.
-        level_error: One standard deviation of that.
-    """
-
+    # (3,) of its logarithm, less the mean over the channels; None if not known
     hue: Tensor | None = None
-    hue_error: float = 1.0
-    level: float | None = None
-    level_error: float = 1.0
+    hue_error: float = 1.0  # one standard deviation of each channel of that
+    level: float | None = None  # mean over the channels of its logarithm; None if not known
+    level_error: float = 1.0  # one standard deviation of that
 
     def missing(self, sent: Tensor) -> Tensor:
         """Log factors (3,) that a light is short of this, which sends `sent` (3,), a logarithm."""

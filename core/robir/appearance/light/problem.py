@@ -48,29 +48,19 @@ SUN_RAY_PAIRS = 4  # pairs of opposite rays that sample a sun at a point
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """What does not depend on the tone curve.
+    """What does not depend on the tone curve."""
 
-    Attributes:
-        transport: Baked samples, visibility, observations.
-        tracer: Tracer of the mesh; None when nothing blocks light.
-        soft: (S, K) irradiance for unit amplitude of the soft lobes.
-        offset: Distance that rays start above the surface.
-        rows: (U,) samples that take part in the light solve; all are seen by two views or more.
-        pairs: Neighbours among them.
-        exposures: Where the photographs were not exposed alike, their exposures' model; else None.
-        known_albedo: A spot whose albedo the user knows, if any.
-        sun: (3,) unit, towards the first sun, if the user knows it.
-    """
-
-    transport: Transport
-    tracer: EmbreeTracer | None
-    soft: Tensor
-    offset: float
+    transport: Transport  # baked samples, visibility, observations
+    tracer: EmbreeTracer | None  # tracer of the mesh; None when nothing blocks light
+    soft: Tensor  # (S, K) irradiance for unit amplitude of the soft lobes
+    offset: float  # distance that rays start above the surface
+    # (U,) samples that take part in the light solve; all are seen by two views or more
     rows: NDArray[np.int64]
-    pairs: Pairs
+    pairs: Pairs  # neighbours among them
+    # where the photographs were not exposed alike, their exposures' model; else None
     exposures: ExposureModel | None = None
-    known_albedo: KnownAlbedo | None = None
-    sun: Floats | None = None
+    known_albedo: KnownAlbedo | None = None  # a spot whose albedo the user knows, if any
+    sun: Floats | None = None  # (3,) unit, towards the first sun, if the user knows it
 
     def bounced(self, exitant: Tensor) -> Tensor:
         """Irradiance (S, 3) of all samples from what all of them radiate, (S, 3)."""
@@ -133,25 +123,15 @@ def blocks_of(scene: Scene) -> NDArray[np.int64]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Problem:
-    """A scene under one tone curve.
+    """A scene under one tone curve."""
 
-    Attributes:
-        scene: The scene.
-        curve: The tone curve.
-        gains: How each photograph was exposed, under this curve.
-        linear: (S, V, 3) radiance of every observation, at the common exposure.
-        radiance: (S) diffuse radiance of all samples.
-        exitant: (S, 3) radiance that leaves all samples; estimated for the hidden ones.
-        indirect: (S, 3) irradiance of all samples from other surfaces.
-    """
-
-    scene: Scene
-    curve: AbstractToneCurve
-    gains: Gains
-    linear: Tensor
-    radiance: Radiance
-    exitant: Tensor
-    indirect: Tensor
+    scene: Scene  # the scene
+    curve: AbstractToneCurve  # the tone curve
+    gains: Gains  # how each photograph was exposed, under this curve
+    linear: Tensor  # (S, V, 3) radiance of every observation, at the common exposure
+    radiance: Radiance  # (S) diffuse radiance of all samples
+    exitant: Tensor  # (S, 3) radiance that leaves all samples; estimated for the hidden ones
+    indirect: Tensor  # (S, 3) irradiance of all samples from other surfaces
 
     def without_highlights(self, diffuse: Tensor) -> Problem:
         """The problem once the radiance (S, V, 3) without its specular part is known."""

@@ -42,20 +42,13 @@ _FAR = 2.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Light:
-    """A solved light.
+    """A solved light."""
 
-    Attributes:
-        axes: (J, 3) float32 axes of the sharp lobes, towards the light.
-        sharpness: (J,) float32.
-        amplitudes: Strengths of soft and sharp lobes.
-        loss: Mean absolute difference of log albedo between neighbours.
-        history: The same of neighbours that face alike with 0, 1, ... sharp lobes, for the report.
-    """
-
-    axes: Floats
-    sharpness: Floats
-    amplitudes: Amplitudes
-    loss: float
+    axes: Floats  # (J, 3) float32 axes of the sharp lobes, towards the light
+    sharpness: Floats  # (J,) float32
+    amplitudes: Amplitudes  # strengths of soft and sharp lobes
+    loss: float  # mean absolute difference of log albedo between neighbours
+    # the same of neighbours that face alike with 0, 1, ... sharp lobes, for the report
     history: tuple[float, ...]
 
     def irradiance(self, problem: Problem, rows: NDArray[np.int64]) -> Tensor:

@@ -53,28 +53,17 @@ _SMOOTHING = 0.022
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SunProblem:
-    """What the scan compares: a sub-sample of the surface.
+    """What the scan compares: a sub-sample of the surface."""
 
-    Attributes:
-        position: (U, 3) unit frame.
-        normal: (U, 3) unit.
-        radiance: Of the U samples.
-        base: (U, 3) irradiance of the known lights or of a grey sky, per unit strength of that
-            light.
-        indirect: (U, 3) irradiance from surfaces.
-        pairs: Over the U samples.
-        tracer: Tracer of the mesh, or None where nothing blocks.
-        offset: Distance that rays start above the surface.
-    """
-
-    position: Floats
-    normal: Floats
-    radiance: Radiance
+    position: Floats  # (U, 3) unit frame
+    normal: Floats  # (U, 3) unit
+    radiance: Radiance  # of the U samples
+    # (U, 3) irradiance of the known lights or of a grey sky, per unit strength of that light
     base: Tensor
-    indirect: Tensor
-    pairs: Pairs
-    tracer: EmbreeTracer | None
-    offset: float
+    indirect: Tensor  # (U, 3) irradiance from surfaces
+    pairs: Pairs  # over the U samples
+    tracer: EmbreeTracer | None  # tracer of the mesh, or None where nothing blocks
+    offset: float  # distance that rays start above the surface
 
     @classmethod
     def of(
@@ -96,23 +85,14 @@ class SunProblem:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SunCandidate:
-    """A direction with its score.
+    """A direction with its score."""
 
-    Attributes:
-        axis: (3,) float32, unit, towards the light.
-        loss: Mean absolute log difference with this sun.
-        gain: How much lower that is than without any sun, as a share.
-        lit: Share of the samples that it lights.
-        least_lit: Share that it must light to be a sun.
-        alternatives: (R, 3) other directions that are the same light to the scan, lowest loss
-            first.
-    """
-
-    axis: Floats
-    loss: float
-    gain: float
-    lit: float = 1.0
-    least_lit: float = 0.0
+    axis: Floats  # (3,) float32, unit, towards the light
+    loss: float  # mean absolute log difference with this sun
+    gain: float  # how much lower that is than without any sun, as a share
+    lit: float = 1.0  # share of the samples that it lights
+    least_lit: float = 0.0  # share that it must light to be a sun
+    # (R, 3) other directions that are the same light to the scan, lowest loss first
     alternatives: Floats = field(default_factory=lambda: np.zeros((0, 3), np.float32))
 
 

@@ -28,19 +28,12 @@ _FACING_COSINE = 0.15  # cosine to a sun from which a sample is compared across 
 
 @dataclass(frozen=True, slots=True)
 class Sunlight:
-    """How the samples that take part (U,) stand to the suns (J,).
+    """How the samples that take part (U,) stand to the suns (J,)."""
 
-    Attributes:
-        position: (U, 3) unit frame.
-        normal: (U, 3) unit.
-        cosine: (U, J) between normal and sun.
-        share: (U, J) of a lobe of `EDGE_SHARPNESS` that is seen; anything where it is behind.
-    """
-
-    position: Floats
-    normal: Floats
-    cosine: Floats
-    share: Floats
+    position: Floats  # (U, 3) unit frame
+    normal: Floats  # (U, 3) unit
+    cosine: Floats  # (U, J) between normal and sun
+    share: Floats  # (U, J) of a lobe of `EDGE_SHARPNESS` that is seen; anything where it is behind
 
     @classmethod
     def of(cls, problem: Problem, axes: Floats) -> Sunlight:

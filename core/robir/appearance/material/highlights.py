@@ -55,27 +55,16 @@ def grid_of() -> Reals:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Highlights:
-    """Samples in the views near a sun's mirror direction, N of them, and in the M others.
+    """Samples in the views near a sun's mirror direction, N of them, and in the M others."""
 
-    Attributes:
-        error: (U, L) display error, summed over the near views, at every level.
-        plain: (U,) the same without any highlight.
-        count: (U,) number of near views.
-        sample: (N,) sample of each near view.
-        seen: (N, L) what it shows beyond the light that is no sun's highlight, display, 0..1.
-        predicted: (N, L) the sun's highlight in it.
-        other: (M,) sample of each other view.
-        noise: (M, L) what these show beyond what is predicted.
-    """
-
-    error: Floats
-    plain: Floats
-    count: Floats
-    sample: Rows
-    seen: Floats
-    predicted: Floats
-    other: Rows
-    noise: Floats
+    error: Floats  # (U, L) display error, summed over the near views, at every level
+    plain: Floats  # (U,) the same without any highlight
+    count: Floats  # (U,) number of near views
+    sample: Rows  # (N,) sample of each near view
+    seen: Floats  # (N, L) what it shows beyond the light that is no sun's highlight, display, 0..1
+    predicted: Floats  # (N, L) the sun's highlight in it
+    other: Rows  # (M,) sample of each other view
+    noise: Floats  # (M, L) what these show beyond what is predicted
 
     def of(self, chosen: NDArray[np.bool_]) -> Highlights:
         """Some of the samples, numbered anew."""
@@ -95,17 +84,11 @@ class Highlights:
 
 @dataclass(frozen=True, slots=True)
 class Readings:
-    """Roughness of those patches whose highlights say something.
+    """Roughness of those patches whose highlights say something."""
 
-    Attributes:
-        patch: (R,) their numbers.
-        roughness: (R,).
-        variance: (R,) of the error of each.
-    """
-
-    patch: Rows
-    roughness: Reals
-    variance: Reals
+    patch: Rows  # (R,) their numbers
+    roughness: Reals  # (R,)
+    variance: Reals  # (R,) of the error of each
 
     def weighted_mean(self, unknown: float) -> float:
         """The one roughness that fits all readings best; `UNKNOWN` where there is none."""

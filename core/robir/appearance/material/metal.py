@@ -31,11 +31,10 @@ Floats = NDArray[np.float32]
 Reals = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
+# blue over red, and green over the mean of both, of log colours
 HUE_OF_LOG = np.array([[-1.0, 0.0, 1.0], [-0.5, 1.0, -0.5]])
-"""Blue over red, and green over the mean of both, of log colours."""
 
-LOG_OF_HUE = np.linalg.pinv(HUE_OF_LOG)
-"""Log colours, but for their mean, of these two."""
+LOG_OF_HUE = np.linalg.pinv(HUE_OF_LOG)  # log colours, but for their mean, of these two
 
 _PER_DIELECTRIC_ERROR = 1.4  # log odds per logarithm of the display error, codes, that paint leaves
 _PER_METAL_ERROR = -2.98  # the same of metal's error over paint's
@@ -74,17 +73,11 @@ SOLVED_WITHOUT = 0.1  # least share of paint with which the light is solved by p
 
 @dataclass(frozen=True, slots=True)
 class MetalParts:
-    """Connected metal parts.
+    """Connected metal parts."""
 
-    Attributes:
-        part: (U,) part of every sample, -1 where it is no metal after all.
-        base: (P, 3) base colour, linear Rec.709.
-        roughness: (P,) perceptual.
-    """
-
-    part: Rows
-    base: Floats
-    roughness: Floats
+    part: Rows  # (U,) part of every sample, -1 where it is no metal after all
+    base: Floats  # (P, 3) base colour, linear Rec.709
+    roughness: Floats  # (P,) perceptual
 
     def of(self, kept: NDArray[np.bool_]) -> MetalParts:
         """Some (P,) of the parts, numbered anew."""

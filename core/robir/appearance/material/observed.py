@@ -23,21 +23,13 @@ LEAST_DIFFUSE = 0.02  # least share of an observation's radiance that is no refl
 
 @dataclass(frozen=True, slots=True)
 class ObservedRays:
-    """What the photographs show along some rays.
+    """What the photographs show along some rays."""
 
-    Attributes:
-        curve: Tone curve.
-        linear: (M, 3) radiance.
-        display: (M, 3) display codes, 0..1.
-        clipped: (M, 3) whether the true value is at least `linear`.
-        gain: (M, 1) exposure of the photograph there.
-    """
-
-    curve: AbstractToneCurve
-    linear: Tensor
-    display: Tensor
-    clipped: Tensor
-    gain: Tensor
+    curve: AbstractToneCurve  # tone curve
+    linear: Tensor  # (M, 3) radiance
+    display: Tensor  # (M, 3) display codes, 0..1
+    clipped: Tensor  # (M, 3) whether the true value is at least `linear`
+    gain: Tensor  # (M, 1) exposure of the photograph there
 
     def of(self, chosen: Tensor) -> ObservedRays:
         """Some of the rays."""

@@ -28,11 +28,9 @@ from robir.workers import blocks, side_by_side
 
 Floats = NDArray[np.float32]
 
-F0 = 0.04
-"""Reflectance of dielectrics at normal incidence, Blender's default (IOR 1.45 to 1.5)."""
+F0 = 0.04  # reflectance of dielectrics at normal incidence, Blender's default (IOR 1.45 to 1.5)
 
-CHUNK = 1024
-"""Rays at a time, whose cosines with all directions then stay in the processor's cache."""
+CHUNK = 1024  # rays at a time, whose cosines with all directions then stay in the processor's cache
 
 # roughness below which a sun's highlight is narrower than the samples can tell
 _SHARPEST_HIGHLIGHT = 0.12
@@ -47,21 +45,13 @@ _TILT = 0.12  # of the normal that a highlight may need, as a tangent: about the
 
 @dataclass(frozen=True, slots=True)
 class ViewRays:
-    """Observations of some samples as a flat list.
+    """Observations of some samples as a flat list."""
 
-    Attributes:
-        sample: (M,) index into the rows, ascending.
-        view: (M,) view index.
-        view_dir: (M, 3) unit, towards the camera.
-        cosine: (M,) normal times view direction.
-        mirror: (M,) index of the direction nearest to the mirror direction.
-    """
-
-    sample: NDArray[np.int64]
-    view: NDArray[np.int64]
-    view_dir: Tensor
-    cosine: Tensor
-    mirror: Tensor
+    sample: NDArray[np.int64]  # (M,) index into the rows, ascending
+    view: NDArray[np.int64]  # (M,) view index
+    view_dir: Tensor  # (M, 3) unit, towards the camera
+    cosine: Tensor  # (M,) normal times view direction
+    mirror: Tensor  # (M,) index of the direction nearest to the mirror direction
 
     def of(self, chosen: Tensor) -> ViewRays:
         """Those (N,) of the rays whose numbers are given."""

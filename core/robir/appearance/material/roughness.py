@@ -22,8 +22,7 @@ from robir.jobs.context import Choice
 Floats = NDArray[np.float32]
 Reals = NDArray[np.floating[Any]]
 
-MATTE = 1.0
-"""Roughness stated for paint without highlights; it has no bearing on how it looks."""
+MATTE = 1.0  # roughness stated for paint without highlights; it has no bearing on how it looks
 
 ONE, EACH = "one for the whole object", "one per patch of like paint"
 WITH_SPECULAR, WITHOUT_SPECULAR = "as of any paint: F0 = 0.04", "none"
@@ -36,30 +35,19 @@ _STRIDE = 3  # every so manieth sample of paint is tried
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RoughnessChoice:
-    """What was chosen.
+    """What was chosen."""
 
-    Attributes:
-        has_highlights: Whether anything but metal has a specular layer.
-        roughness: (K,) of every patch.
-        choices: What was chosen against what, for the report.
-    """
-
-    has_highlights: bool
-    roughness: NDArray[np.float64]
-    choices: tuple[Choice, ...]
+    has_highlights: bool  # whether anything but metal has a specular layer
+    roughness: NDArray[np.float64]  # (K,) of every patch
+    choices: tuple[Choice, ...]  # what was chosen against what, for the report
 
 
 @dataclass(frozen=True, slots=True)
 class RoughnessPatches:
-    """Parts of the surface that share a roughness each.
+    """Parts of the surface that share a roughness each."""
 
-    Attributes:
-        features: (K, D) log albedo and place of each.
-        number: (U,) patch of every sample.
-    """
-
-    features: Reals
-    number: NDArray[np.int64]
+    features: Reals  # (K, D) log albedo and place of each
+    number: NDArray[np.int64]  # (U,) patch of every sample
 
 
 def choose_roughness(

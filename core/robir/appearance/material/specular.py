@@ -62,28 +62,19 @@ _LEVELS_TOGETHER = 4  # roughnesses tried at a time at most: each holds all obse
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SpecularMaterial:
-    """Specular material of all samples.
+    """Specular material of all samples."""
 
-    Attributes:
-        roughness: (S,) float32, perceptual as in Blender, in [0, 1].
-        metallic: (S,) float32, 0 or 1.
-        metal: (S, 3) float32, base colour of the nearest metal part, linear Rec.709; 0 where the
-            scene has none.
-        floor: (S, 3) float32, specular radiance in the mean of the views.
-        kept: (S, 1) float32, share of the diffuse light that the specular layer lets through there.
-        has_highlights: Whether dielectrics have a specular layer.
-        table: One dictionary per dielectric patch and per metal part.
-        choices: What was chosen against what, for the report.
-    """
-
-    roughness: Floats
-    metallic: Floats
+    roughness: Floats  # (S,) float32, perceptual as in Blender, in [0, 1]
+    metallic: Floats  # (S,) float32, 0 or 1
+    # (S, 3) float32, base colour of the nearest metal part, linear Rec.709; 0 where the scene has
+    # none
     metal: Floats
-    floor: Floats
+    floor: Floats  # (S, 3) float32, specular radiance in the mean of the views
+    # (S, 1) float32, share of the diffuse light that the specular layer lets through there
     kept: Floats
-    has_highlights: bool
-    table: tuple[dict[str, float], ...]
-    choices: tuple[Choice, ...]
+    has_highlights: bool  # whether dielectrics have a specular layer
+    table: tuple[dict[str, float], ...]  # one dictionary per dielectric patch and per metal part
+    choices: tuple[Choice, ...]  # what was chosen against what, for the report
 
     def solved_by(self, rows: NDArray[np.int64], least_share: float) -> NDArray[np.int64]:
         """Of some samples those that the light is solved by: dielectrics if there are enough."""

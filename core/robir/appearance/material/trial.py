@@ -26,17 +26,11 @@ Reals = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MaterialTrial:
-    """Some samples in all views.
+    """Some samples in all views."""
 
-    Attributes:
-        reflections: What the U samples reflect.
-        rays: Their observations.
-        seen: What these show.
-    """
-
-    reflections: Reflections
-    rays: ViewRays
-    seen: ObservedRays
+    reflections: Reflections  # what the U samples reflect
+    rays: ViewRays  # their observations
+    seen: ObservedRays  # what these show
 
     @classmethod
     def of(cls, problem: Problem, light: Light, rows: NDArray[np.int64]) -> MaterialTrial:

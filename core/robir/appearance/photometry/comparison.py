@@ -46,31 +46,20 @@ _IMAGE_SIDE = 200  # longest side that photographs are read at (pixels)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PhotoComparison:
-    """Photographs of the same points, and how these were lit and exposed.
+    """Photographs of the same points, and how these were lit and exposed."""
 
-    Attributes:
-        capture: All views, the held-out ones included: those need a gain to be compared with.
-        points: Surface points that are compared.
-        observations: Of them in the training views under the common light.
-        log: As from `comparable`, under a plain tone curve: the true one is not known yet.
-        kept: Which points that is of.
-        observed: Reads the points in any views.
-        other_light: Names of the photographs taken under another light than most, held-out ones
-            included.
-        falloff: Of all photographs towards their corners, under a plain tone curve.
-        gain_share: How much of the gains between photographs is exposure, 0..1.
-        has_own_lights: Whether each is in a light of its own, its gain being part of that.
-    """
-
-    capture: Capture
-    points: Surfels
-    observations: Observations
-    log: Array
-    kept: NDArray[np.bool_]
-    observed: Callable[[Sequence[View]], Observations]
+    capture: Capture  # all views, the held-out ones included: those need a gain to be compared with
+    points: Surfels  # surface points that are compared
+    observations: Observations  # of them in the training views under the common light
+    log: Array  # as from `comparable`, under a plain tone curve: the true one is not known yet
+    kept: NDArray[np.bool_]  # which points that is of
+    observed: Callable[[Sequence[View]], Observations]  # reads the points in any views
+    # names of the photographs taken under another light than most, held-out ones included
     other_light: frozenset[str] = frozenset()
+    # of all photographs towards their corners, under a plain tone curve
     falloff: Falloff = NO_FALLOFF
-    gain_share: float = 0.0
+    gain_share: float = 0.0  # how much of the gains between photographs is exposure, 0..1
+    # whether each is in a light of its own, its gain being part of that
     has_own_lights: bool = False
 
     @classmethod
@@ -179,6 +168,7 @@ def _find_own_lights(state: PhotoComparison) -> PhotoComparison:
     return replace(state, has_own_lights=has_own_lights)
 
 
+# what is asked of photographs of the same points, in this order
 COMPARISON: tuple[Step[PhotoComparison], ...] = (
     Step(
         name="other-light",
@@ -206,7 +196,6 @@ COMPARISON: tuple[Step[PhotoComparison], ...] = (
         run=_find_own_lights,
     ),
 )
-"""What is asked of photographs of the same points, in this order."""
 
 
 def find_falloff(log: Array, normals: Floats, off_axis: NDArray[np.uint8]) -> Falloff:

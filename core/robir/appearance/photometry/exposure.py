@@ -38,18 +38,14 @@ LEAST_VIEWS = 4  # views of a point from which photographs can be compared
 
 @dataclass(frozen=True, slots=True)
 class Gains:
-    """How much brighter than at the capture's common exposure each photograph is, and where.
+    """How much brighter than at the capture's common exposure each photograph is, and where."""
 
-    Attributes:
-        by_view: Factors (3,) on linear radiance by the view's name, of geometric mean 1 in every
-            channel; empty where all photographs are alike.
-        falloff: Of all photographs towards their corners.
-        slopes: (3,) log radiance per unit of the normal, unit frame, by the view's name; empty
-            where all photographs are in one light.
-    """
-
+    # factors (3,) on linear radiance by the view's name, of geometric mean 1 in every channel;
+    # empty where all photographs are alike
     by_view: Mapping[str, Array]
-    falloff: Falloff = NO_FALLOFF
+    falloff: Falloff = NO_FALLOFF  # of all photographs towards their corners
+    # (3,) log radiance per unit of the normal, unit frame, by the view's name; empty where all
+    # photographs are in one light
     slopes: Mapping[str, Array] = field(default_factory=dict)
 
     def at(
@@ -97,21 +93,13 @@ class Gains:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExposureModel:
-    """How photographs were exposed, to be solved under any tone curve.
+    """How photographs were exposed, to be solved under any tone curve."""
 
-    Attributes:
-        observations: A few surface points in all views, the held-out ones included.
-        normals: (N, 3) of the points.
-        gain_share: How much of the gains between photographs is exposure, 0..1.
-        has_falloff: Whether they are darker towards their corners.
-        has_own_lights: Whether each is in a light of its own.
-    """
-
-    observations: Observations
-    normals: Floats
-    gain_share: float
-    has_falloff: bool
-    has_own_lights: bool = False
+    observations: Observations  # a few surface points in all views, the held-out ones included
+    normals: Floats  # (N, 3) of the points
+    gain_share: float  # how much of the gains between photographs is exposure, 0..1
+    has_falloff: bool  # whether they are darker towards their corners
+    has_own_lights: bool = False  # whether each is in a light of its own
 
     def gains(self, curve: AbstractToneCurve) -> Gains:
         """Gains of all views, and their falloff, under a tone curve."""

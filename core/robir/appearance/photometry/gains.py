@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from robir.appearance.photometry.robust import Weighing, solve_views
 from robir.maths.tone import curve_from_name
 
-_LEAST_ERRORS = 2.0
-"""Standard errors from which what two halves of the points tell is no chance."""
+_LEAST_ERRORS = 2.0  # standard errors from which what two halves of the points tell is no chance
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]

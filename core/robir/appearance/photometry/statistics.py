@@ -44,17 +44,11 @@ _STEP_ROUNDS = 30  # rounds of the search
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Radiance:
-    """Exitant radiance of the samples without highlights, under one tone curve.
+    """Exitant radiance of the samples without highlights, under one tone curve."""
 
-    Attributes:
-        linear: (S, 3) float32, linear Rec.709, > 0 where seen.
-        clipped: (S, 3) bool; the true value is at least `linear`.
-        seen: (S,) bool; at least two views show the sample.
-    """
-
-    linear: Tensor
-    clipped: Tensor
-    seen: Tensor
+    linear: Tensor  # (S, 3) float32, linear Rec.709, > 0 where seen
+    clipped: Tensor  # (S, 3) bool; the true value is at least `linear`
+    seen: Tensor  # (S,) bool; at least two views show the sample
 
 
 def linear_observations(
@@ -126,17 +120,11 @@ def display_mean(radiance: Tensor, weight: Tensor, curve: AbstractToneCurve) -> 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pairs:
-    """Pairs of samples whose albedos are compared.
+    """Pairs of samples whose albedos are compared."""
 
-    Attributes:
-        first: (P,) int64 indices.
-        second: (P,) int64 indices.
-        weight: (P,) float32, sums to 1.
-    """
-
-    first: Tensor
-    second: Tensor
-    weight: Tensor
+    first: Tensor  # (P,) int64 indices
+    second: Tensor  # (P,) int64 indices
+    weight: Tensor  # (P,) float32, sums to 1
 
     def of(self, chosen: Tensor) -> Pairs:
         """Some of the pairs, bool (P,) or indices."""

@@ -27,13 +27,9 @@ _PRIOR = 1.0  # standard deviation of the falloff's strength before anything is 
 
 @dataclass(frozen=True, slots=True)
 class Falloff:
-    """How much darker than in its middle a photograph is.
+    """How much darker than in its middle a photograph is."""
 
-    Attributes:
-        strength: Natural logarithm of the middle's radiance over the corners'.
-    """
-
-    strength: float = 0.0
+    strength: float = 0.0  # natural logarithm of the middle's radiance over the corners'
 
     @property
     def corner_stops(self) -> float:
@@ -49,8 +45,7 @@ class Falloff:
         return torch.from_numpy(np.exp(self.log(off_axis)).astype(np.float32))[..., None]
 
 
-NO_FALLOFF = Falloff()
-"""Corners as bright as the middle."""
+NO_FALLOFF = Falloff()  # corners as bright as the middle
 
 
 def solve_falloff(log: Array, normals: NDArray[np.float32], off_axis: Codes) -> Falloff:

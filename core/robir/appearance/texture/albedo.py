@@ -67,21 +67,13 @@ _SPECULAR_ERROR = 0.4
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TexelMaterial:
-    """What is known of the texels beside their albedo, from the surface samples.
+    """What is known of the texels beside their albedo, from the surface samples."""
 
-    Attributes:
-        floor: (N, 3) radiance that a specular layer adds to every view.
-        kept: (N, 3) share of the light that enters the diffuse layer below it.
-        metal: (N, 3) base colour where it is metal.
-        metallic: (N,) bool.
-        roughness: (N,) float32.
-    """
-
-    floor: Floats
-    kept: Floats
-    metal: Floats
-    metallic: NDArray[np.bool_]
-    roughness: Floats
+    floor: Floats  # (N, 3) radiance that a specular layer adds to every view
+    kept: Floats  # (N, 3) share of the light that enters the diffuse layer below it
+    metal: Floats  # (N, 3) base colour where it is metal
+    metallic: NDArray[np.bool_]  # (N,) bool
+    roughness: Floats  # (N,) float32
 
     @classmethod
     def of(cls, specular: SpecularMaterial, blend: Blend) -> TexelMaterial:
@@ -97,43 +89,25 @@ class TexelMaterial:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TexelState:
-    """Texels whose albedo is being read.
+    """Texels whose albedo is being read."""
 
-    Attributes:
-        problem: Scene under the chosen tone curve.
-        light: Solved light.
-        texels: Points of the atlas.
-        material: All but the albedo.
-        seen: What the photographs show of the texels.
-        total: (N, 3) radiance that stands for all views.
-        clipped: (N, 3) bool, channels that are clipped.
-        soft: (N, 3) irradiance from sky and other surfaces.
-        narrow: (N, J) visibility times cosine of the suns.
-        albedo: (N, 3) so far.
-        spread: (N,) standard error over views of the log of a texel's brightness.
-        edge: (N,) bool, where it is not known how much sun arrives.
-        disagreement: (N,) standard deviation of log albedo by views, shadow edges and dim light.
-        unknown: (N,) the same, with what a specular layer hides.
-        reference: Texels whose albedo is certain; None before it was read.
-        smooth: (N, 3) smoothed albedo; None where it was not smoothed.
-    """
-
-    problem: Problem
-    light: Light
-    texels: Texels
-    material: TexelMaterial
-    seen: Observations
-    total: Floats
-    clipped: NDArray[np.bool_]
-    soft: Floats
-    narrow: Floats
-    albedo: Floats
-    spread: Floats
-    edge: NDArray[np.bool_]
+    problem: Problem  # scene under the chosen tone curve
+    light: Light  # solved light
+    texels: Texels  # points of the atlas
+    material: TexelMaterial  # all but the albedo
+    seen: Observations  # what the photographs show of the texels
+    total: Floats  # (N, 3) radiance that stands for all views
+    clipped: NDArray[np.bool_]  # (N, 3) bool, channels that are clipped
+    soft: Floats  # (N, 3) irradiance from sky and other surfaces
+    narrow: Floats  # (N, J) visibility times cosine of the suns
+    albedo: Floats  # (N, 3) so far
+    spread: Floats  # (N,) standard error over views of the log of a texel's brightness
+    edge: NDArray[np.bool_]  # (N,) bool, where it is not known how much sun arrives
+    # (N,) standard deviation of log albedo by views, shadow edges and dim light
     disagreement: Floats
-    unknown: Floats
-    reference: Reference | None = None
-    smooth: Floats | None = None
+    unknown: Floats  # (N,) the same, with what a specular layer hides
+    reference: Reference | None = None  # texels whose albedo is certain; None before it was read
+    smooth: Floats | None = None  # (N, 3) smoothed albedo; None where it was not smoothed
 
     @classmethod
     def of(
@@ -300,6 +274,7 @@ def _smooth_albedo(state: TexelState) -> TexelState:
     return replace(state, smooth=smooth.clip(MIN_ALBEDO, MAX_ALBEDO))
 
 
+# how albedo is read, in this order
 ALBEDO: tuple[Step[TexelState], ...] = (
     Step(
         name="irradiance",
@@ -334,4 +309,3 @@ ALBEDO: tuple[Step[TexelState], ...] = (
         run=_smooth_albedo,
     ),
 )
-"""How albedo is read, in this order."""

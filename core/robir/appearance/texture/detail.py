@@ -42,8 +42,7 @@ from robir.workers import blocks, side_by_side
 Floats = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-BLOCK = 1 << 21
-"""Texels that are worked on at a time; each takes some hundred bytes."""
+BLOCK = 1 << 21  # texels that are worked on at a time; each takes some hundred bytes
 
 _BEST_VIEWS = 4  # whose detail is blended at a texel
 _STEEPNESS = 4.0  # power of a view's pixels on a unit of surface by which it counts against others
@@ -174,13 +173,10 @@ def _area(mesh: Mesh) -> float:
 
 @dataclass(frozen=True, slots=True)
 class _Levels:
-    """A photograph and its means over ever larger squares.
+    """A photograph and its means over ever larger squares."""
 
-    Attributes:
-        layers: (1, 4, H, W) float32 each, half as large as the one before: radiance times what
-            counts, and what counts.
-    """
-
+    # (1, 4, H, W) float32 each, half as large as the one before: radiance times what counts, and
+    # what counts
     layers: tuple[Tensor, ...]
 
     @classmethod

@@ -16,8 +16,7 @@ from robir.workers import blocks, num_workers, side_by_side
 
 Floats = NDArray[np.float32]
 
-CHUNK = 256
-"""Nodes at a time, whose surroundings then stay in the processor's cache."""
+CHUNK = 256  # nodes at a time, whose surroundings then stay in the processor's cache
 
 _MESH_ERROR = 0.02  # length over which errors of the mesh's normals vary, unit frame
 _REACH = 0.4  # how far the surroundings reach that a texel is compared with, unit frame

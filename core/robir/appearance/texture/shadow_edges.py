@@ -26,8 +26,8 @@ from robir.workers import blocks, num_workers, side_by_side
 Floats = NDArray[np.float32]
 Reals = NDArray[np.floating[Any]]
 
+# texels at shadows' edges that are settled at a time: their palettes then stay small
 EDGE_CHUNK = 1 << 13
-"""Texels at shadows' edges that are settled at a time: their palettes then stay small."""
 
 _RAY_PAIRS = 6  # pairs of opposite rays by which the share of a sun's wide lobe is told
 _LEAST_SHARE = 0.02  # share of it from which a texel is at an edge, up to as little below 1

@@ -29,41 +29,25 @@ _LEAST_DISTANCE = 0.2
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Texels:
-    """Surface points of the texture atlas.
+    """Surface points of the texture atlas."""
 
-    Attributes:
-        position: (N, 3) unit frame.
-        normal: (N, 3) unit.
-    """
-
-    position: Floats
-    normal: Floats
+    position: Floats  # (N, 3) unit frame
+    normal: Floats  # (N, 3) unit
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TexelAlbedo:
-    """Albedo of the texels with how well it is known.
+    """Albedo of the texels with how well it is known."""
 
-    Attributes:
-        albedo: (N, 3) float32, linear Rec.709.
-        coverage: (N,) int, views that show the texel.
-        disagreement: (N,) float32, one standard deviation of log albedo by views, shadow edges and
-            dim light.
-        read: (N, 3) float32, albedo before smoothing.
-        unknown: (N,) float32, one standard deviation of its logarithm.
-        uncertainty: (N,) float32, one standard error of log albedo, see uncertainty.py.
-        roughness: (N,) float32.
-        metallic: (N,) float32, 0 or 1.
-    """
-
-    albedo: Floats
-    coverage: NDArray[np.int64]
+    albedo: Floats  # (N, 3) float32, linear Rec.709
+    coverage: NDArray[np.int64]  # (N,) int, views that show the texel
+    # (N,) float32, one standard deviation of log albedo by views, shadow edges and dim light
     disagreement: Floats
-    read: Floats
-    unknown: Floats
-    uncertainty: Floats
-    roughness: Floats
-    metallic: Floats
+    read: Floats  # (N, 3) float32, albedo before smoothing
+    unknown: Floats  # (N,) float32, one standard deviation of its logarithm
+    uncertainty: Floats  # (N,) float32, one standard error of log albedo, see uncertainty.py
+    roughness: Floats  # (N,) float32
+    metallic: Floats  # (N,) float32, 0 or 1
 
 
 class Blend:

@@ -23,8 +23,7 @@ from robir.workers import num_workers
 
 Floats = NDArray[np.float32]
 
-LARGEST = 1.0
-"""From here on the albedo is unknown; code 255 of uncertainty.png."""
+LARGEST = 1.0  # from here on the albedo is unknown; code 255 of uncertainty.png
 
 _FLOOR = 0.14  # what every texel has: light that is wrong makes whole sides of a thing wrong alike
 _SPREAD = 4.3  # factor of the standard error of the views about a texel's brightness

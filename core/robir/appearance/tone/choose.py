@@ -24,26 +24,18 @@ from robir.steps import Pipeline, Step
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ToneChoice:
-    """All that the choice of the tone curve rests on, as far as the search has got.
+    """All that the choice of the tone curve rests on, as far as the search has got."""
 
-    Attributes:
-        scene: Samples with their transport.
-        config: Families and sizes.
-        seed: Of the search.
-        allowed: Curves that may be chosen, simplest first.
-        evidence: Of the histogram.
-        beyond: Names of curves that cannot reach some colours, with these colours' share.
-        suns: The light under the first curve: where shadows lie does not depend on it.
-        candidates: The chosen one first, then by score.
-    """
-
-    scene: Scene
-    config: AppearanceConfig
-    seed: int
-    allowed: list[AbstractToneCurve]
-    evidence: ClippingEvidence
+    scene: Scene  # samples with their transport
+    config: AppearanceConfig  # families and sizes
+    seed: int  # of the search
+    allowed: list[AbstractToneCurve]  # curves that may be chosen, simplest first
+    evidence: ClippingEvidence  # of the histogram
+    # names of curves that cannot reach some colours, with these colours' share
     beyond: dict[str, float]
+    # the light under the first curve: where shadows lie does not depend on it
     suns: Light | None = None
+    # the chosen one first, then by score
     candidates: list[CurveCandidate] = field(default_factory=list)
 
     @classmethod
@@ -98,6 +90,7 @@ def _rank(state: ToneChoice) -> ToneChoice:
     return replace(state, candidates=ranked(state.scene, state.fitting, state.found, state.config))
 
 
+# how the tone curve is found, in this order
 SEARCH: tuple[Step[ToneChoice], ...] = (
     Step(
         name="suns",
@@ -114,7 +107,6 @@ SEARCH: tuple[Step[ToneChoice], ...] = (
         is_on_trial=False,
     ),
 )
-"""How the tone curve is found, in this order."""
 
 
 def choose_tone_curve(

@@ -24,15 +24,10 @@ _LONE_RATIO = 10.0  # how many times those must outnumber the nearly white ones
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClippingEvidence:
-    """What the histogram says about white.
+    """What the histogram says about white."""
 
-    Attributes:
-        clipped_share: Observations with a channel at code 255.
-        bright_share: Observations with their brightest channel nearly white.
-    """
-
-    clipped_share: float
-    bright_share: float
+    clipped_share: float  # observations with a channel at code 255
+    bright_share: float  # observations with their brightest channel nearly white
 
     @property
     def verdict(self) -> bool | None:

@@ -25,11 +25,9 @@ from robir.appearance.light.solver import Light, fit
 from robir.maths.tone_curve import AbstractToneCurve
 from robir.workers import side_by_side
 
-PLAIN = "standard"
-"""Name of the plain curve, the sRGB transfer function."""
+PLAIN = "standard"  # name of the plain curve, the sRGB transfer function
 
-CAMERA = "camera"
-"""Name of the mean response of cameras."""
+CAMERA = "camera"  # name of the mean response of cameras
 
 # Standard errors by which the response of cameras must lag the best curve before that is taken, by
 # where the photographs are from. Errors of the light bend shades as curves do: it lagged by up to
@@ -49,21 +47,13 @@ CODE_ERROR = 0.1
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CurveCandidate:
-    """A tone curve with its score.
+    """A tone curve with its score."""
 
-    Attributes:
-        curve: The tone curve.
-        score: Mean display error of cross-predicted pairs, in 8-bit codes.
-        standard_error: Of the difference to the chosen candidate, over blocks of the surface.
-        light: The light that was found under it.
-        problem: The scene under it.
-    """
-
-    curve: AbstractToneCurve
-    score: float
-    standard_error: float
-    light: Light
-    problem: Problem
+    curve: AbstractToneCurve  # the tone curve
+    score: float  # mean display error of cross-predicted pairs, in 8-bit codes
+    standard_error: float  # of the difference to the chosen candidate, over blocks of the surface
+    light: Light  # the light that was found under it
+    problem: Problem  # the scene under it
 
 
 def pair_errors(problem: Problem, light: Light) -> tuple[Tensor, Tensor]:

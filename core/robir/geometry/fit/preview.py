@@ -28,17 +28,15 @@ from robir.geometry.rays import reduce_view
 from robir.jobs.context import Reporter
 from robir.jobs.paths import replacing
 
+# display RGB (R, 3) and coverage (R,) of rays given by origins and unit directions (R, 3)
 Renderer = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
-"""Display RGB (R, 3) and coverage (R,) of rays given by origins and unit directions (R, 3)."""
 
-RAYS = 1 << 13
-"""Rays that are drawn at a time where there are many; memory limits them."""
+RAYS = 1 << 13  # rays that are drawn at a time where there are many; memory limits them
 
-PERIOD = 4.0
-"""Least seconds between two previews; one costs about 0.07 CPU-s."""
+PERIOD = 4.0  # least seconds between two previews; one costs about 0.07 CPU-s
 
+# most triangles of the growing mesh; more would show no more while the surface still moves
 MAX_FACES = 5000
-"""Most triangles of the growing mesh; more would show no more while the surface still moves."""
 
 _SIDE = 96  # longer side of the preview (pixels)
 _CELLS = 40  # along the growing mesh; of a ball that makes twice `MAX_FACES`
@@ -47,15 +45,10 @@ _HELD_OUT_SIDE = 400  # longer side of the held-out pictures, where photographs 
 
 
 class Present(NamedTuple):
-    """The field as it is now, to look at and not to keep: the next step changes it in place.
+    """The field as it is now, to look at and not to keep: the next step changes it in place."""
 
-    Attributes:
-        render: Draws rays of it; takes nothing from any random generator.
-        surface: Its signed distances.
-    """
-
-    render: Renderer
-    surface: Sampled
+    render: Renderer  # draws rays of it; takes nothing from any random generator
+    surface: Sampled  # its signed distances
 
 
 class Preview:

@@ -26,19 +26,12 @@ _LEAST_WEIGHT = 2e-4  # intervals that contribute less than this to their pixel 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Occupancy:
-    """Where the surface may be.
+    """Where the surface may be."""
 
-    Attributes:
-        lattice: Lattice of the field.
-        near: (N,) bool, nodes within the band around the surface.
-        blocks: Blocks of cells that hold such a node or touch one that does, flat bool.
-        block_shape: Number of blocks along x, y and z.
-    """
-
-    lattice: Lattice
-    near: Tensor
-    blocks: Tensor
-    block_shape: tuple[int, int, int]
+    lattice: Lattice  # lattice of the field
+    near: Tensor  # (N,) bool, nodes within the band around the surface
+    blocks: Tensor  # blocks of cells that hold such a node or touch one that does, flat bool
+    block_shape: tuple[int, int, int]  # number of blocks along x, y and z
 
     @classmethod
     def of(cls, lattice: Lattice, sdf: Tensor, band: float) -> Occupancy:
@@ -59,24 +52,15 @@ class Occupancy:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Intervals:
-    """Packed end points of intervals of rays; neighbours on a ray share one.
+    """Packed end points of intervals of rays; neighbours on a ray share one."""
 
-    Attributes:
-        ray: (Q,) ray of each end point.
-        first: (Q,) first end point of the same ray.
-        joined: (Q - 1,) 1 where there is an interval from a point to the next, 0 where there is
-            none.
-        distance: (Q,) distance of the end points from their ray's origin.
-        index: (Q, 8) lattice nodes around the end points.
-        weight: (Q, 8) their trilinear weights.
-    """
-
-    ray: Tensor
-    first: Tensor
+    ray: Tensor  # (Q,) ray of each end point
+    first: Tensor  # (Q,) first end point of the same ray
+    # (Q - 1,) 1 where there is an interval from a point to the next, 0 where there is none
     joined: Tensor
-    distance: Tensor
-    index: Tensor
-    weight: Tensor
+    distance: Tensor  # (Q,) distance of the end points from their ray's origin
+    index: Tensor  # (Q, 8) lattice nodes around the end points
+    weight: Tensor  # (Q, 8) their trilinear weights
 
 
 def _first_of_runs(ray: Tensor) -> Tensor:

@@ -40,26 +40,19 @@ _ALIGNS = 0.85
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Aligned:
-    """A capture that was brought to a mesh.
+    """A capture that was brought to a mesh."""
 
-    Attributes:
-        capture: In the mesh's frame and unit; if it was moved, its bounds are the mesh's.
-        frame: What brings the capture as it was to there, or None where it stood there already.
-        agreement: Of the mesh's outlines with the masks.
-        notes: Sentences for the user.
-    """
-
-    capture: Capture
+    capture: Capture  # in the mesh's frame and unit; if it was moved, its bounds are the mesh's
+    # what brings the capture as it was to there, or None where it stood there already
     frame: Similarity | None
-    agreement: Agreement
-    notes: tuple[str, ...]
+    agreement: Agreement  # of the mesh's outlines with the masks
+    notes: tuple[str, ...]  # sentences for the user
 
 
 def aligned(given: Given, capture: Capture, config: GeometryConfig, picture: Path) -> Aligned:
     """Bring cameras in a frame of ours to where their photographs show the mesh.
 
-    Raises:
-        CaptureError: If outlines and masks agree nowhere, or with the mesh's mirror image only.
+    `CaptureError` if outlines and masks agree nowhere, or with the mesh's mirror image only.
     """
     used = given.vertices[np.unique(given.faces)]
     centre, radius = enclosing_sphere(used)

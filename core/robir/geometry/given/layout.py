@@ -25,12 +25,11 @@ from robir.geometry.mesh.tiles import (
 )
 from robir.geometry.mesh.unwrap import rasterise_atlas
 
-FAR = 1e4
-"""Tiles from 0..1 beyond which texture coordinates are none."""
+FAR = 1e4  # tiles from 0..1 beyond which texture coordinates are none
 
+# of a tile's side: a face whose middle is nearer to a border is moved in by twice that, so that
+# rounding cannot take it for one of the next tile
 RIM = 1e-5
-"""Of a tile's side: a face whose middle is nearer to a border is moved in by twice that, so that
-rounding cannot take it for one of the next tile."""
 
 
 _OUTSIDE = 1e-3  # of a tile's side: as far as texture coordinates may leave it by rounding
@@ -42,19 +41,13 @@ _MOST_TILES = 100  # beyond which a texture would have too few texels of those t
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Layout:
-    """Texture coordinates for the atlas.
+    """Texture coordinates for the atlas."""
 
-    Attributes:
-        uvs: (Nu, 2) float32 in [0, 1].
-        uv_faces: (Nf, 3) int32, indices into uvs.
-        tiles: (Nt,) int32, numbers of the tiles that are its cells; empty for one texture.
-        notes: Sentences for the user.
-    """
-
-    uvs: NDArray[np.float32]
-    uv_faces: NDArray[np.int32]
+    uvs: NDArray[np.float32]  # (Nu, 2) float32 in [0, 1]
+    uv_faces: NDArray[np.int32]  # (Nf, 3) int32, indices into uvs
+    # (Nt,) int32, numbers of the tiles that are its cells; empty for one texture
     tiles: NDArray[np.int32] = field(default_factory=lambda: np.zeros(0, np.int32))
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # sentences for the user
 
 
 def own_layout(given: Given) -> Layout | str:

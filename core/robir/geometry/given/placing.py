@@ -56,17 +56,11 @@ _SIDE = 240  # longer side of each (pixels)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Agreement:
-    """How an outline and the masks go together.
+    """How an outline and the masks go together."""
 
-    Attributes:
-        share: Of what either has, what both have, mean over the photographs, in [0, 1].
-        missing: Share of the masks that the outline leaves free.
-        beyond: Share of the outline that lies outside the masks.
-    """
-
-    share: float
-    missing: float
-    beyond: float
+    share: float  # of what either has, what both have, mean over the photographs, in [0, 1]
+    missing: float  # share of the masks that the outline leaves free
+    beyond: float  # share of the outline that lies outside the masks
 
 
 class Outlines:

@@ -24,8 +24,8 @@ from robir.geometry.mesh.unwrap import unwrap
 
 Array = NDArray[np.float64]
 
+# normal map without bumps, for a tile whose materials have none
 FLAT = np.full((4, 4, 3), (128, 128, 255), np.uint8)
-"""Normal map without bumps, for a tile whose materials have none."""
 
 
 # faces of the copy on which light is solved, over the face budget of a surface of our own
@@ -38,22 +38,15 @@ _NORMAL_SCALE = 0.25  # distance that counts as much as two normals one unit apa
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ready:
-    """The user's mesh on its way out.
+    """The user's mesh on its way out."""
 
-    Attributes:
-        mesh: Unwrapped; the user's own vertices and faces unless it was decimated.
-        light: A copy with few faces, or None where the mesh itself has few.
-        normal_maps: The user's, where the mesh keeps its texture coordinates: one, or one for each
-            of its tiles; else empty.
-        is_unwrapped_anew: Whether its texture coordinates are not the user's.
-        notes: Sentences for the user.
-    """
-
-    mesh: Mesh
-    light: Mesh | None
+    mesh: Mesh  # unwrapped; the user's own vertices and faces unless it was decimated
+    light: Mesh | None  # a copy with few faces, or None where the mesh itself has few
+    # the user's, where the mesh keeps its texture coordinates: one, or one for each of its tiles;
+    # else empty
     normal_maps: tuple[NDArray[np.uint8], ...]
-    is_unwrapped_anew: bool
-    notes: tuple[str, ...]
+    is_unwrapped_anew: bool  # whether its texture coordinates are not the user's
+    notes: tuple[str, ...]  # sentences for the user
 
 
 def made_ready(given: Given, config: GeometryConfig, warn: Callable[[str], None]) -> Ready:

@@ -45,27 +45,20 @@ _PROPOSED_SHARE = 0.75  # that a place has at least which is proposed
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Handed:
-    """What was made of the user's mesh, unit frame.
+    """What was made of the user's mesh, unit frame."""
 
-    Attributes:
-        mesh: Unwrapped; textures belong to it.
-        light: A copy on which light is solved, or None where the mesh itself serves.
-        normal_maps: The user's where the result can have them, one or one a tile; else empty.
-        views: All views of the capture where their masks had been guessed; the outlines of the mesh
-            take their place. Else None.
-        frame: What brings the capture to the mesh, and its bounds there, where it is the one that
-            had to move. Else None.
-        metrics: For the stage's manifest.
-        notes: Sentences for the user.
-    """
-
-    mesh: Mesh
-    light: Mesh | None
+    mesh: Mesh  # unwrapped; textures belong to it
+    light: Mesh | None  # a copy on which light is solved, or None where the mesh itself serves
+    # the user's where the result can have them, one or one a tile; else empty
     normal_maps: tuple[NDArray[np.uint8], ...]
+    # all views of the capture where their masks had been guessed; the outlines of the mesh take
+    # their place. Else None
     views: tuple[View, ...] | None
+    # what brings the capture to the mesh, and its bounds there, where it is the one that had to
+    # move. Else None
     frame: tuple[Similarity, Bounds] | None
-    metrics: dict[str, float | str]
-    notes: tuple[str, ...]
+    metrics: dict[str, float | str]  # for the stage's manifest
+    notes: tuple[str, ...]  # sentences for the user
 
 
 def hand_in(
@@ -77,11 +70,8 @@ def hand_in(
 ) -> Handed:
     """Read, check, place and unwrap the user's mesh.
 
-    `captures` are the capture in its own frame and in the unit frame.
-
-    Raises:
-        CaptureError: If it cannot be read or does not fit the photographs; says how it would, and
-            `picture` shows it.
+    `captures` are the capture in its own frame and in the unit frame. `CaptureError` if it cannot
+    be read or does not fit the photographs; says how it would, and `picture` shows it.
     """
     reporter.progress(0.0, "reading the mesh")
     given = read_mesh(path)

@@ -70,17 +70,11 @@ _RAYS_A_KNOT = 5  # rays that must agree on the edge, for each knot
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SupportPlane:
-    """Flat ground, unit frame.
+    """Flat ground, unit frame."""
 
-    Attributes:
-        origin: (3,) point on the plane, the middle of the outline.
-        axes: (3, 3) rows: two directions within the plane, then the normal towards the cameras.
-        outline: (K, 2) convex outline, counter-clockwise, coordinates along the first two axes.
-    """
-
-    origin: Array
-    axes: Array
-    outline: Array
+    origin: Array  # (3,) point on the plane, the middle of the outline
+    axes: Array  # (3, 3) rows: two directions within the plane, then the normal towards the cameras
+    outline: Array  # (K, 2) convex outline, counter-clockwise, coordinates along the first two axes
 
     def local(self, points: Array) -> Array:
         """Coordinates of points (..., 3): two within the plane and the height above it."""
@@ -92,17 +86,11 @@ class SupportPlane:
 
 
 class OutlineRays(NamedTuple):
-    """Rays through the outlines of masks, unit frame.
+    """Rays through the outlines of masks, unit frame."""
 
-    Attributes:
-        origins: (P, 3).
-        directions: (P, 3) unit.
-        outward: (P, 3) unit, across the ray and out of the mask: the normal of what it touches.
-    """
-
-    origins: Array
-    directions: Array
-    outward: Array
+    origins: Array  # (P, 3)
+    directions: Array  # (P, 3) unit
+    outward: Array  # (P, 3) unit, across the ray and out of the mask: the normal of what it touches
 
 
 def _outline_rays(photo: ReducedPhoto) -> OutlineRays:

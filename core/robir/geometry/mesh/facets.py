@@ -53,17 +53,11 @@ _SAME_SIDE = 0.5  # of planes whose normals have a larger cosine, only the neare
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Facet:
-    """A flat part of a mesh.
+    """A flat part of a mesh."""
 
-    Attributes:
-        normal: (3,) unit, outward.
-        offset: Of the plane from the origin along the normal.
-        members: (Nv,) the vertices that make it up.
-    """
-
-    normal: Array
-    offset: float
-    members: Mask
+    normal: Array  # (3,) unit, outward
+    offset: float  # of the plane from the origin along the normal
+    members: Mask  # (Nv,) the vertices that make it up
 
     def height(self, points: Array) -> Array:
         """Signed distance of points (P, 3) from the plane."""

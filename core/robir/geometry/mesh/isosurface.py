@@ -39,8 +39,7 @@ def compacted(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> Mes
 def extract(lattice: Lattice, sdf: Tensor) -> Mesh:
     """Zero level of a field (N,) by marching cubes, closed and counter-clockwise from outside.
 
-    Raises:
-        QualityError: If the field has no surface.
+    `QualityError` if the field has no surface.
     """
     grid = sdf.detach().cpu().view(lattice.shape).numpy().copy()
     for axis in range(3):  # closed: nothing may leave through the border

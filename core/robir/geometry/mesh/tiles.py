@@ -22,11 +22,9 @@ Floats = NDArray[np.floating[Any]]
 Whole = NDArray[np.integer[Any]]
 
 FIRST = 1001
-ACROSS = 10
-"""Tiles of a row; the next row's numbers follow."""
+ACROSS = 10  # tiles of a row; the next row's numbers follow
 
-ROWS = 100
-"""Rows of tiles that Blender and others know: the last number is 2000."""
+ROWS = 100  # rows of tiles that Blender and others know: the last number is 2000
 
 
 def cells_along(count: int) -> int:

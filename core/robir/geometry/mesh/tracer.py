@@ -19,17 +19,11 @@ Floats = NDArray[np.float32]
 
 @dataclass(frozen=True, slots=True)
 class Hits:
-    """First hits of a batch of rays.
+    """First hits of a batch of rays."""
 
-    Attributes:
-        face: (N,) int32, face index, -1 where the ray leaves the scene.
-        distance: (N,) float32 along the unit direction; inf where there is no hit.
-        barycentric: (N, 3) float32, weights of the face's corners; zero where there is no hit.
-    """
-
-    face: NDArray[np.int32]
-    distance: Floats
-    barycentric: Floats
+    face: NDArray[np.int32]  # (N,) int32, face index, -1 where the ray leaves the scene
+    distance: Floats  # (N,) float32 along the unit direction; inf where there is no hit
+    barycentric: Floats  # (N, 3) float32, weights of the face's corners; zero where there is no hit
 
 
 class EmbreeTracer:

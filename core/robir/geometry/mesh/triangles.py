@@ -22,37 +22,29 @@ from robir.geometry.mesh.tiles import (
 )
 from robir.jobs.paths import replacing
 
+# file of the mesh for light in the geometry stage's folder, beside mesh.npz; often absent
 LIGHT = "light.npz"
-"""File of the mesh for light in the geometry stage's folder, beside mesh.npz; often absent."""
 
 _FORM = {
     "vertices": "f V 3", "faces": "i F 3", "normals": "f V 3", "uvs": "f + 2", "uv_faces": "i F 3",
     "tiles?": "i +",
 }  # fmt: skip
 
+# of a mesh that may have no texture coordinates
 _BARE = _FORM | {"uvs": "f * 2", "uv_faces": "i * 3"}
-"""Of a mesh that may have no texture coordinates."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mesh:
-    """Triangle mesh, counter-clockwise seen from outside.
+    """Triangle mesh, counter-clockwise seen from outside."""
 
-    Attributes:
-        vertices: (Nv, 3) float32.
-        faces: (Nf, 3) int32, indices into vertices.
-        normals: (Nv, 3) float32, unit, outward.
-        uvs: (Nu, 2) float32 in [0, 1], v upwards; empty before unwrapping.
-        uv_faces: (Nf, 3) int32, indices into uvs; empty before unwrapping.
-        tiles: (Nt,) int32, rising numbers of the UDIM tiles that are the atlas' cells; empty where
-            the atlas is one texture.
-    """
-
-    vertices: NDArray[np.float32]
-    faces: NDArray[np.int32]
-    normals: NDArray[np.float32]
-    uvs: NDArray[np.float32]
-    uv_faces: NDArray[np.int32]
+    vertices: NDArray[np.float32]  # (Nv, 3) float32
+    faces: NDArray[np.int32]  # (Nf, 3) int32, indices into vertices
+    normals: NDArray[np.float32]  # (Nv, 3) float32, unit, outward
+    uvs: NDArray[np.float32]  # (Nu, 2) float32 in [0, 1], v upwards; empty before unwrapping
+    uv_faces: NDArray[np.int32]  # (Nf, 3) int32, indices into uvs; empty before unwrapping
+    # (Nt,) int32, rising numbers of the UDIM tiles that are the atlas' cells; empty where the atlas
+    # is one texture
     tiles: NDArray[np.int32] = field(default_factory=lambda: np.zeros(0, np.int32))
 
     @property
@@ -92,8 +84,7 @@ class Mesh:
     def load(cls, path: Path, *, is_bare: bool = False) -> Mesh:
         """Read what `save` wrote; a bare mesh may lack texture coordinates.
 
-        Raises:
-            StorageError: If it is missing or damaged.
+        `StorageError` if it is missing or damaged.
         """
         mesh = cls(**stored_arrays(path, _BARE if is_bare else _FORM))
         if not mesh.is_whole():

@@ -95,10 +95,8 @@ def unwrap(mesh: Mesh, seconds: float, warn: Callable[[str], None]) -> Mesh:
 def rasterise_atlas(mesh: Mesh, size: int) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     """Face (size, size) int32 of every texel, -1 for none, and barycentric coordinates, 0 there.
 
-    Row 0 is the top, v = 1; texel centres lie at half integers.
-
-    Raises:
-        StorageError: If no face lies on any texel.
+    Row 0 is the top, v = 1; texel centres lie at half integers. `StorageError` if no face lies on
+    any texel.
     """
     corners = mesh.uvs[mesh.uv_faces].astype(np.float64) * size
     corners[..., 1] = size - corners[..., 1]

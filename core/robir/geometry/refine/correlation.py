@@ -28,8 +28,7 @@ from robir.workers import blocks, side_by_side
 
 Floats = NDArray[np.float32]
 
-CHUNK = 2048
-"""Vertices that are judged at a time: their patches then take 100 MB."""
+CHUNK = 2048  # vertices that are judged at a time: their patches then take 100 MB
 
 
 _LEAST_COSINE = 0.25  # between normal and view, from which a photograph judges it

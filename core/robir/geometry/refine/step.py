@@ -49,17 +49,11 @@ _MOST_VERTICES = 120_000  # vertices up to which the mesh is subdivided
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Evidence:
-    """What speaks for a vertex' shift.
+    """What speaks for a vertex' shift."""
 
-    Attributes:
-        shifts: (D,) tried, unit frame.
-        cost: (Nv, D), 1 less the correlation of the photographs.
-        outline: Shifts (Nv,) that outlines ask for and their weights (Nv,).
-    """
-
-    shifts: Array
-    cost: NDArray[np.float32]
-    outline: tuple[Array, Array]
+    shifts: Array  # (D,) tried, unit frame
+    cost: NDArray[np.float32]  # (Nv, D), 1 less the correlation of the photographs
+    outline: tuple[Array, Array]  # shifts (Nv,) that outlines ask for and their weights (Nv,)
 
 
 def refine(mesh: Mesh, views: tuple[View, ...], sides: tuple[int, ...]) -> Mesh:

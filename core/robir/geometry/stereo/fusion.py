@@ -59,17 +59,11 @@ _RAYS = 2048  # rays at a time
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fused:
-    """What depth maps say of the distance to the surface at the nodes of a lattice.
+    """What depth maps say of the distance to the surface at the nodes of a lattice."""
 
-    Attributes:
-        distance: (N,) mean signed distance, unit frame, cut off at the band.
-        weight: (N,) sum of the maps' trust.
-        band: Half width of the band.
-    """
-
-    distance: Tensor
-    weight: Tensor
-    band: float
+    distance: Tensor  # (N,) mean signed distance, unit frame, cut off at the band
+    weight: Tensor  # (N,) sum of the maps' trust
+    band: float  # half width of the band
 
 
 def stereo_surface(

@@ -39,17 +39,11 @@ _TEMPERATURE = 0.05  # difference of that cost that chance makes
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StereoPicture:
-    """A photograph as it is compared.
+    """A photograph as it is compared."""
 
-    Attributes:
-        camera: Camera of this size, unit frame.
-        grey: (H, W) float32 display brightness of the object, 0 outside the mask.
-        whole: (H, W) bool, wholly object.
-    """
-
-    camera: Camera
-    grey: Tensor
-    whole: NDArray[np.bool_]
+    camera: Camera  # camera of this size, unit frame
+    grey: Tensor  # (H, W) float32 display brightness of the object, 0 outside the mask
+    whole: NDArray[np.bool_]  # (H, W) bool, wholly object
 
     @classmethod
     def of(cls, photo: ReducedPhoto) -> StereoPicture:
@@ -62,19 +56,13 @@ class StereoPicture:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DepthMap:
-    """Depths of a photograph's pixels.
+    """Depths of a photograph's pixels."""
 
-    Attributes:
-        camera: Its camera, unit frame.
-        depth: (H, W) along the viewing direction; not a number where none is known.
-        correlation: (H, W) of the photographs at that depth, 0 where there is none.
-        trust: (H, W), the same where one depth alone explains the photographs, and the less the
-            more depths do.
-    """
-
-    camera: Camera
-    depth: Floats
-    correlation: Floats
+    camera: Camera  # its camera, unit frame
+    depth: Floats  # (H, W) along the viewing direction; not a number where none is known
+    correlation: Floats  # (H, W) of the photographs at that depth, 0 where there is none
+    # (H, W), the same where one depth alone explains the photographs, and the less the more depths
+    # do
     trust: Floats
 
 
