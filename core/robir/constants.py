@@ -52,13 +52,10 @@ def of_setting(dotted: str) -> str | None:
 
 @contextmanager
 def changed(changes: Sequence[str]) -> Iterator[None]:
-    """Change constants for the length of the block.
+    """Change constants for the length of the block, by items "module.NAME=value".
 
-    Args:
-        changes: Items "module.NAME=value": the module's dotted name below `robir`, the value TOML.
-
-    Raises:
-        ConfigError: If there is no such module or constant, or the value has another type.
+    That is the module's dotted name below `robir`, and the value in TOML. `ConfigError` if there is
+    no such module or constant, or the value has another type.
     """
     before: list[tuple[ModuleType, str, Any]] = []
     try:

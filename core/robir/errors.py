@@ -7,11 +7,7 @@ and the shell agree on what went wrong.
 
 
 class RobirError(Exception):
-    """Base of every error whose message is meant for the user.
-
-    Attributes:
-        exit_code: Process exit code that stands for this kind of error.
-    """
+    """Base of every error whose message is meant for the user; the process ends by `exit_code`."""
 
     exit_code = 1
 

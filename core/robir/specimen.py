@@ -71,11 +71,7 @@ FARTHEST_SUN = 15.0  # degrees; a sound fit is 3 off
 
 
 def write_specimen(folder: Path) -> None:
-    """Write the sphere as a NeRF-synthetic capture.
-
-    Args:
-        folder: Made by this; holds the poses and one folder of pictures a split.
-    """
+    """Write the sphere as a NeRF-synthetic capture, poses and one folder of pictures a split."""
     for split, count in VIEWS.items():
         (folder / split).mkdir(parents=True)
         frames = []

@@ -47,14 +47,10 @@ def corrected(by_step: Mapping[str, Correction]) -> Iterator[None]:
 
 
 class Pipeline:
-    """One run through a stage's steps.
+    """One run through a stage's steps but those `without`.
 
-    Args:
-        without: Names of the steps that are left out.
-
-    Attributes:
-        changed: Names of those that changed anything.
-        seconds: Processor time of each so far, of all its rounds, by name.
+    `changed` are names of those that changed anything, `seconds` is the processor time of each so
+    far, of all its rounds, by name.
     """
 
     def __init__(self, without: Sequence[str] = ()) -> None:

@@ -17,11 +17,7 @@ class Patient:
     """A stream whose writing never raises; everything else is the stream's own."""
 
     def __init__(self, stream: TextIO) -> None:
-        """Stand before a stream.
-
-        Args:
-            stream: Where the words go.
-        """
+        """Stand before a stream."""
         self._stream = stream
         self.fault: OSError | None = None
 

@@ -44,12 +44,7 @@ def available_cores() -> int:
 
 
 def _quotas(told: Path, root: Path) -> Iterator[float]:
-    """Cores that control groups allow, of this process' group and all above it (cgroups(7)).
-
-    Args:
-        told: Names the groups of the process.
-        root: Where they are mounted.
-    """
+    """Cores that control groups allow, of this process' group and all above it (cgroups(7))."""
     try:
         lines = told.read_text(encoding="utf-8").splitlines()
     except (OSError, ValueError):
@@ -95,8 +90,8 @@ def side_by_side(
 ) -> list[Result]:
     """Results of a function, in the items' order, several at a time, at most `most`.
 
-    It must not change what another item's call reads. `Exception` that of the first item, in order,
-    that raised one; no further item is begun then.
+    It must not change what another item's call reads. What is raised is the exception of the first
+    item, in order, that raised one; no further item is begun then.
     """
     listed, is_in_vain = list(items), getattr(_state, "is_in_vain", threading.Event())
 

@@ -78,7 +78,7 @@ class TexturedSurface(NamedTuple):
 class _ViewPoints:
     """Points that rays through the object's pixels of one view meet."""
 
-    view: View  # the view
+    view: View
     rows: NDArray[np.int64]  # (M,) rows of the pixels
     columns: NDArray[np.int64]  # (M,) their columns
     pixel: NDArray[np.int64]  # (N,) pixel of each point

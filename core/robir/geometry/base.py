@@ -43,14 +43,9 @@ class Base(NamedTuple):
 
 
 def without_cone(hull: Sampled, photos: list[ReducedPhoto]) -> Sampled:
-    """The hull, without what lies below the plane that the object stands on.
+    """The hull, of an object without ground, less what lies below the plane that it stands on.
 
-    Args:
-        hull: Of an object without ground, unit frame.
-        photos: Photographs with masks, unit frame.
-
-    Returns:
-        The hull itself where a camera looks from below, or hardly anything lies there.
+    The hull itself where a camera looks from below, or hardly anything lies there.
     """
     base = base_plane(hull, photos)
     if base is None or base.share < _LEAST_SHARE:

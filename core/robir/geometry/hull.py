@@ -46,17 +46,11 @@ def mask_distance(coverage: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 class HullCarver:
-    """Evaluates the visual hull's signed distance.
+    """Evaluates the visual hull's signed distance, of masks (H, W) float32 in [0, 1], unit frame.
 
-    A point's value is the largest, over the views, of the signed distance of its image point to
-    the mask's outline times depth over focal length: a lower bound of the distance outside, exact
-    where one silhouette decides. With `outvoted` views that may be wrong, it is the largest but so
-    many.
-
-    Args:
-        cameras: Cameras, unit frame.
-        coverages: Mask of each camera, (H, W) float32 in [0, 1].
-        outvoted: Masks that cannot by themselves say that a point is outside.
+    A point's value is the largest, over the views, of the signed distance of its image point to the
+    mask's outline times depth over focal length: a lower bound of the distance outside, exact where
+    one silhouette decides. With `outvoted` views that may be wrong, it is the largest but so many.
     """
 
     def __init__(

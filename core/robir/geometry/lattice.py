@@ -69,12 +69,9 @@ class Lattice:
         return flat.long()
 
     def along(self, origins: Tensor, directions: Tensor, step: float) -> Tensor:
-        """Flat indices (R, T) of the nodes nearest to rays within the unit sphere.
+        """Flat indices (R, T) of nodes nearest to points a step apart on rays in the unit sphere.
 
-        Args:
-            origins: (R, 3) of the rays, unit frame.
-            directions: (R, 3) unit.
-            step: Distance between the points of a ray that are looked at, unit frame.
+        Rays have origins (R, 3) and unit directions (R, 3), unit frame.
         """
         steps = torch.arange(0.0, 2.2, step, device=origins.device)
         along = steps - (origins * directions).sum(1, keepdim=True) - 1.1

@@ -81,18 +81,12 @@ def weighed(ahead: float, more: float) -> float:
 
 
 class Selection:
-    """Compares surfaces by photographs, and selects the one that goes on.
+    """Compares surfaces by photographs, unit frame, and selects the one that goes on.
 
-    Args:
-        views: Training photographs, unit frame.
-        photos: The same at the size that surfaces are compared at.
-        hulls: The visual hull, with ground if there is one, and as masks alone have it.
-        config: Settings of the stage.
-        holds_masks: Whether masks were given, so that the object is wherever they show it.
-
-    Attributes:
-        best: What goes on instead of the fit; None where that does.
-        choices: What was compared, for the report; nothing if nothing was.
+    `hulls` are the visual hull, with ground if there is one, and as masks alone have it; `photos`
+    the views at the size that surfaces are compared at; `holds_masks` says whether masks were
+    given, so that the object is wherever they show it. `best` goes on instead of the fit, None
+    where that does; `choices` are what was compared, for the report.
     """
 
     def __init__(

@@ -80,14 +80,9 @@ def _at_corners(plane: Tensor, cell: _Cell) -> tuple[Tensor, Tensor, Tensor, Ten
 
 
 def interpolate(lattice: ColourLattice, position: Planes) -> Planes:
-    """Colours at positions between the nodes.
+    """Colours, three tensors (N,), at positions in nodes from 0 to size - 1; clamped to that range.
 
-    Args:
-        lattice: Node values.
-        position: Three tensors (N,), in nodes from 0 to size - 1; clamped to that range.
-
-    Returns:
-        Three tensors (N,); continuous, and differentiable in the position inside a tetrahedron.
+    Continuous, and differentiable in the position inside a tetrahedron.
     """
     cell = _locate(position, lattice.size)
     high, middle, low = cell.fractions
@@ -112,17 +107,9 @@ def step_towards(
     """One Levenberg-Marquardt step on position towards interpolate(position) = target.
 
     The lattice is affine in a tetrahedron, so its Jacobian is exact and costs no extra look-up.
-
-    Args:
-        lattice: Node values.
-        position: Three tensors (N,), in nodes.
-        target: Three tensors (N,), wanted values.
-        damping: Added to the diagonal of the normal equations, squared value per node; keeps the
-            step small where the lattice is flat.
-        reach: Largest step along an axis, in nodes.
-
-    Returns:
-        The next positions, and the squared residual (N,) at the given ones.
+    `damping` is added to the diagonal of the normal equations, squared value per node; it keeps the
+    step small where the lattice is flat. `reach` is the largest step along an axis, in nodes. The
+    next positions, and the squared residual (N,) at the given ones.
     """
     cell = _locate(position, lattice.size)
     high, middle, low = cell.fractions

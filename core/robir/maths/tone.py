@@ -94,14 +94,9 @@ def curve_from_name(name: str, parameters: Mapping[str, float] | None = None) ->
 
 
 def as_samples(curve: AbstractToneCurve, count: int) -> dict[str, list[float]]:
-    """Grey samples of a curve, for JSON and plots.
+    """Grey samples of a curve, even in log2 from 2^-10 to MAX_LINEAR, for JSON and plots.
 
-    Args:
-        curve: Any family.
-        count: Number of samples, even in log2 from 2^-10 to MAX_LINEAR.
-
-    Returns:
-        "linear" (grey radiance) and "display" (code 0..1, mean of the channels).
+    "linear" (grey radiance) and "display" (code 0..1, mean of the channels).
     """
     linear = 2.0 ** np.linspace(-10.0, np.log2(MAX_LINEAR), count)
     grey = torch.from_numpy(linear)[:, None].expand(-1, 3)

@@ -135,11 +135,8 @@ class AcesToneCurve(AbstractToneCurve):
     """RobIR's scene-specific ACES fit, per channel, followed by the power 1 / 2.2.
 
     display = min(g^-0.2 F(e), 1)^(1/2.2) with F(e) = e (2.51 e + 0.03) / (e (2.43 e + 0.59) + 0.14)
-    (Narkowicz 2015) and one scalar g: RobIR (NeurIPS 2024) Eq. 6-8. The inverse is the positive
-    root.
-
-    Attributes:
-        tone_gamma: g, scalar tensor in (0, 1]; may require gradients.
+    (Narkowicz 2015) and one scalar g, `tone_gamma`, in (0, 1]: RobIR (NeurIPS 2024) Eq. 6-8. The
+    inverse is the positive root. g may require gradients.
     """
 
     name = "robir_aces"

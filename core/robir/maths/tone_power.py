@@ -15,12 +15,7 @@ DISPLAY_POWER = "display_power"  # name of p among the parameters in tone_curve.
 
 
 class PoweredToneCurve(AbstractToneCurve):
-    """A tone curve and a power of its display code.
-
-    Attributes:
-        base: The tone curve before the power.
-        power: p, above 0.
-    """
+    """A tone curve `base` and a `power`, above 0, of its display code."""
 
     def __init__(self, base: AbstractToneCurve, power: float) -> None:
         """Fix both; raises ConfigError for a power that is not positive."""

@@ -146,14 +146,7 @@ def _agx_inverse(curve: tone_table.AgxToneCurve, rng: np.random.Generator) -> ND
 
 
 def tabulate(config_path: Path) -> dict[str, NDArray[np.generic]]:
-    """All arrays of tone_tables.npz from an OpenColorIO configuration of Blender 4.5.
-
-    Args:
-        config_path: config.ocio in Blender's colormanagement folder.
-
-    Returns:
-        Arrays by name, as the module's head lists them.
-    """
+    """All arrays of tone_tables.npz, by name, from the config.ocio of Blender 4.5."""
     config = PyOpenColorIO.Config.CreateFromFile(str(config_path))
     tables: dict[str, NDArray[np.generic]] = {
         "filmic_display": _filmic_table(config).astype(np.float32),

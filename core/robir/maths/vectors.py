@@ -33,28 +33,19 @@ def normalise(vector: Tensor, smallest: float = 1e-12) -> Tensor:
 
 
 def reflect(direction: Tensor, normal: Tensor) -> Tensor:
-    """Mirror image of a direction that points away from the surface, again pointing away.
+    """Mirror image of a direction (..., 3), of any length, about a unit normal (..., 3).
 
-    Args:
-        direction: (..., 3), away from the surface; any length, which is kept.
-        normal: (..., 3), unit; leading axes broadcast.
+    Both point away from the surface, as does the result.
     """
     return 2.0 * dot(normal, direction)[..., None] * normal - direction
 
 
 def orthonormal_frame(normal: Tensor) -> tuple[Tensor, Tensor]:
-    """Two tangents that complete unit normals to right-handed frames.
+    """Two unit tangents (..., 3) that complete unit normals to right-handed frames.
 
-    Without branches and stable for every normal; the tangents jump where z changes sign.
-
-    Args:
-        normal: (..., 3), unit.
-
-    Returns:
-        Tangent and bitangent (..., 3), unit, with tangent x bitangent = normal.
-
-    References:
-        Duff et al., Building an Orthonormal Basis, Revisited, JCGT 6(1), 2017, listing 3.
+    Tangent x bitangent = normal. Without branches and stable for every normal; the tangents jump
+    where z changes sign (Duff et al., Building an Orthonormal Basis, Revisited, JCGT 6(1), 2017,
+    listing 3).
     """
     x, y, z = normal.unbind(-1)
     sign = torch.where(z >= 0.0, torch.ones_like(z), -torch.ones_like(z))
@@ -73,13 +64,9 @@ def tangents(axis: NDArray[np.floating]) -> tuple[NDArray[np.float64], NDArray[n
 
 
 def ring(axis: NDArray[np.floating], radius: float, count: int, turn: float) -> NDArray[np.float64]:
-    """Unit directions (count, 3) on a circle about a unit axis (3,).
+    """Even unit directions (count, 3) on a circle at the angle `radius` about a unit axis (3,).
 
-    Args:
-        axis: Middle.
-        radius: Angle between it and the circle, radians.
-        count: Directions, evenly spread.
-        turn: Where on the circle the first lies, radians.
+    The first lies `turn` along the circle; angles in radians.
     """
     tangent, bitangent = tangents(axis)
     angles = turn + np.arange(count) * 2 * np.pi / count
@@ -91,18 +78,11 @@ def ring(axis: NDArray[np.floating], radius: float, count: int, turn: float) -> 
 def fibonacci_sphere(
     count: int, *, dtype: torch.dtype = torch.float32, device: torch.device | str = "cpu"
 ) -> Tensor:
-    """Near-uniform unit directions on a golden spiral, from +Z down to -Z.
+    """Near-uniform unit directions (count, 3) on a golden spiral, from +Z down to -Z.
 
     Each direction stands for the solid angle 4 pi / count; heights are the midpoints of equal
-    slices, which makes means over them exact for functions linear in z.
-
-    Args:
-        count: Number of directions, at least 1.
-        dtype: Floating type of the result; angles are always formed in float64.
-        device: Where the result lies.
-
-    Returns:
-        (count, 3).
+    slices, which makes means over them exact for functions linear in z. Angles are formed in
+    float64.
     """
     index = torch.arange(count, dtype=torch.float64)
     z = 1.0 - (2.0 * index + 1.0) / count
@@ -129,11 +109,7 @@ def equirect_directions(
 ) -> Tensor:
     """Unit directions (H, 2H, 3) of the pixel centres of a lat-long map, row 0 on top.
 
-    Args:
-        height: H.
-        rows: Rows that are wanted; the result has only these.
-        dtype: Floating type of the result; angles are always formed in float64.
-        device: Where the result lies.
+    Of some `rows` only, if asked for. Angles are formed in float64.
     """
     row = ((torch.arange(height, dtype=torch.float64) + 0.5) / height)[rows]
     column = (torch.arange(2 * height, dtype=torch.float64) + 0.5) / (2 * height)
@@ -150,11 +126,7 @@ def equirect_solid_angles(
 ) -> Tensor:
     """Exact solid angles (H, 2H) in steradian of the pixels of a lat-long map; they sum to 4 pi.
 
-    Args:
-        height: H.
-        rows: Rows that are wanted; the result has only these.
-        dtype: Floating type of the result; formed in float64.
-        device: Where the result lies.
+    Of some `rows` only, if asked for. Formed in float64.
     """
     edge = torch.sin((0.5 - torch.arange(height + 1, dtype=torch.float64) / height) * math.pi)
     row = ((edge[:-1] - edge[1:]) * (math.pi / height))[rows]
@@ -164,15 +136,9 @@ def equirect_solid_angles(
 def farthest_points(
     positions: NDArray[np.floating], count: int, first: int = 0
 ) -> NDArray[np.int64]:
-    """Positions that lie far from each other, each next one the farthest from those chosen.
+    """Rising indices of positions (N, 3) far from each other, each next the farthest from those.
 
-    Args:
-        positions: (N, 3).
-        count: How many are wanted; fewer are a subset of more.
-        first: Index of the one to begin with.
-
-    Returns:
-        Indices in ascending order; all of them if there are no more than `count`.
+    All if there are no more than `count`; fewer are a subset of more. It begins with the `first`.
     """
     if len(positions) <= count:
         return np.arange(len(positions))

@@ -19,15 +19,11 @@ from torch.nn.functional import logsigmoid
 
 
 def log_survival(sdf_start: Tensor, sdf_end: Tensor, inv_std: float) -> Tensor:
-    """Logarithm of the share of light that passes an interval, log(1 - opacity).
+    """Logarithm of the share of light (S,) that passes an interval, log(1 - opacity).
 
-    Args:
-        sdf_start: (S,) signed distance where the ray enters the interval, negative inside.
-        sdf_end: (S,) signed distance where it leaves.
-        inv_std: Steepness of the logistic distribution, 1 / unit of the distance, > 0.
-
-    Returns:
-        (S,) <= 0; zero where the ray moves away from the surface.
+    Of signed distances (S,) where the ray enters and leaves it, negative inside, and the steepness
+    of the logistic distribution, 1 / unit of the distance. Zero where the ray moves away from the
+    surface.
     """
     step = logsigmoid(inv_std * sdf_end) - logsigmoid(inv_std * sdf_start)
     return step.clamp(max=0.0)
@@ -40,14 +36,10 @@ def log_survival_between(sdf: Tensor, inv_std: float) -> Tensor:
 
 
 def transmittance(log_step: Tensor, first: Tensor) -> Tensor:
-    """Share of light that reaches the start of each interval.
+    """Share of light (S,) that reaches the start of each interval, 1 at every ray's first one.
 
-    Args:
-        log_step: (S,) log survival of each interval, in ray order.
-        first: (S,) index of the first interval of the same ray.
-
-    Returns:
-        (S,) in [0, 1], 1 at every ray's first interval; same precision as `log_step`.
+    Of log survival (S,) in ray order, and the index (S,) of the first interval of the same ray. In
+    the precision of `log_step`.
     """
     total = torch.cumsum(log_step.double(), dim=0)
     before = total - log_step
@@ -81,13 +73,8 @@ class _Weights(torch.autograd.Function):
 
 
 def weights(log_step: Tensor, first: Tensor) -> Tensor:
-    """Share of the pixel that each interval contributes: transmittance times opacity.
+    """Share of the pixel (S,) that each interval contributes: transmittance times opacity.
 
-    Args:
-        log_step: (S,) log survival of each interval, in ray order.
-        first: (S,) index of the first interval of the same ray.
-
-    Returns:
-        (S,) in [0, 1]; the sum over a ray is the ray's coverage, at most 1.
+    Of the same as `transmittance`; the sum over a ray is the ray's coverage, at most 1.
     """
     return _Weights.apply(log_step, first)

@@ -90,20 +90,12 @@ def trace_visibility(
 
 
 def lobe_directions(axis: Floats, sharpness: float, count: int) -> Floats:
-    """Directions spread like a normalised spherical Gaussian: equal weights, no bias.
+    """Unit directions (count, 3) spread like a normalised spherical Gaussian, without bias.
 
     The polar angle follows the lobe's own distribution, cos t = 1 + ln(1 - u (1 - e^(-2 s)))/s,
-    stratified in u; the azimuth turns by the golden angle (METHOD 2.6, "unbiased"). Each direction
-    has its opposite about the axis, so that the axis is their mean: what lights ground at a grazing
-    angle would else be a tenth off with a few of them.
-
-    Args:
-        axis: (3,), unit.
-        sharpness: Of the lobe, > 0.
-        count: How many, even.
-
-    Returns:
-        (count, 3) float32, unit.
+    stratified in u; the azimuth turns by the golden angle. Each direction has its opposite about
+    the axis, so that the axis is their mean: what lights ground at a grazing angle would else be a
+    tenth off with a few of them. The count is even.
     """
     u = (np.arange(count // 2) + 0.5) / (count // 2)
     cosine = 1 + np.log1p(-u * -np.expm1(-2 * sharpness)) / sharpness
@@ -122,22 +114,11 @@ def lobe_transfer(
     directions: Floats,
     offset: float,
 ) -> Floats:
-    """Mean of visibility times cosine over the directions of a sharp lobe.
+    """Mean of visibility times cosine (N,), in [0, 1], over directions (J, 3) of a sharp lobe.
 
-    Each ray starts farther along itself, and nothing may lie between there and what is straight
-    above its point. Starting straight above, it would see every shadow nearer to what casts it, as
-    under a higher sun: suns that were found by their shadows on the ground came out too low, by 2.5
-    degrees where hot dogs cast them.
-
-    Args:
-        tracer: Tracer of the mesh, or None where nothing blocks.
-        position: (N, 3).
-        normal: (N, 3), unit.
-        directions: (J, 3), unit, equally weighted.
-        offset: Distance that rays start above the surface.
-
-    Returns:
-        (N,) in [0, 1]: irradiance for a lobe of unit energy.
+    Positions and unit normals are (N, 3). Each ray starts farther along itself, and nothing may lie
+    between there and what is straight above its point: starting straight above, it would see every
+    shadow nearer to what casts it, as under a higher sun.
     """
     total = np.zeros(len(position), np.float32)
     beside = _beside_a_wall(tracer, position, normal, directions.mean(0), offset)

@@ -160,13 +160,8 @@ def solve_amplitudes(
 ) -> tuple[Amplitudes, float]:
     """Light strengths whose eliminated albedo is the most plausible, and the neighbour loss.
 
-    Args:
-        radiance: Of the samples that take part (U,).
-        transfer: Of the same samples.
-        pairs: Neighbours among the same samples, and pairs across shadows.
-        priors: What is known beforehand.
-        iterations: Adam steps.
-        start: Where to begin; a neutral sky with equally strong suns if None.
+    All is of the samples that take part (U,); `pairs` are neighbours among them, and pairs across
+    shadows. Adam begins at `start`, or at a neutral sky with equally strong suns.
     """
     num_soft, num_sharp = transfer.soft.shape[1], transfer.sharp.shape[1]
     renewed = {0, iterations // 3, 2 * iterations // 3}

@@ -27,7 +27,7 @@ class PairWeights:
     beforehand.
     """
 
-    pairs: Pairs  # the pairs
+    pairs: Pairs
     # sparse (U, P), adds a pair's value to its first sample and takes it off its second, at a tenth
     # of the cost of torch's scatter
     spread: csr_matrix

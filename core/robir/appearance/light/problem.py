@@ -125,7 +125,7 @@ def blocks_of(scene: Scene) -> NDArray[np.int64]:
 class Problem:
     """A scene under one tone curve."""
 
-    scene: Scene  # the scene
+    scene: Scene
     curve: AbstractToneCurve  # the tone curve
     gains: Gains  # how each photograph was exposed, under this curve
     linear: Tensor  # (S, V, 3) radiance of every observation, at the common exposure

@@ -34,10 +34,7 @@ def well_lit(parts: list[Pairs], irradiance: Tensor) -> list[Pairs]:
 def of_one_material(parts: list[Pairs], log_albedo: Tensor, clipped: Tensor) -> Pairs:
     """Pairs of all suns, weighted by how alike they are but for the step that all share.
 
-    Args:
-        parts: Pairs of the U samples, a list a sun, the end out of its light first.
-        log_albedo: (U, 3) under the light as it is known.
-        clipped: (U, 3) bool, of the samples' radiance.
+    Of pairs a sun, the end out of its light first, log albedo (U, 3), and clipped channels (U, 3).
     """
     weighted = []
     for part in parts:

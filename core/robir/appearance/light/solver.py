@@ -97,18 +97,12 @@ def _lit_by(problem: Problem, axes: Floats, sharpness: Floats) -> tuple[Transfer
 
 
 def refit(problem: Problem, light: Light, prior: LightPrior, config: AppearanceConfig) -> Light:
-    """Strengths once more, shadows deciding between sky and suns.
+    """Strengths once more, shadows deciding between sky and suns; without highlights if known.
 
     The neighbour loss prefers a weak sun, as errors of normals change a sun's light and hardly a
     sky's. Across a shadow, at equal normals, they cancel. Pairs that are alike but for their common
     step count most there, or a weak sun would confirm itself on a checkered ground. Neighbours of
     another hue say nothing of each other's brightness.
-
-    Args:
-        problem: Scene under a tone curve, highlights removed if known.
-        light: Solved light.
-        prior: Of the light as a whole.
-        config: Sizes.
     """
     radiance = problem.rows_radiance(problem.scene.rows)
     transfer, sunlight = _lit_by(problem, light.axes, light.sharpness)

@@ -94,12 +94,8 @@ def find_metal(
 ) -> MetalParts:
     """Parts of samples (U,) that are likely metal; some are classified and speak for others.
 
-    Args:
-        solved: Scene under a tone curve, and its light.
-        rows: The samples.
-        alike: (U, 9) points by which they are classified together, and (U, 3) log hues.
-        trial: The samples in all views.
-        dielectric: (U, L) mean display error over each one's views at every roughness.
+    `alike` are points (U, 9) by which they are classified together, and log hues (U, 3);
+    `dielectric` (U, L) is the mean display error over each one's views at every roughness.
     """
     (problem, light), (points, hue) = solved, alike
     surfels = problem.scene.transport.surfels
@@ -180,11 +176,10 @@ def metal_parts(
 ) -> MetalParts:
     """Gather metal samples into parts of one hue and read what each is made of.
 
-    Args:
-        odds: (U,) log odds, as averaged over each sample's surroundings.
-        place: Positions (U, 3), unit frame, log hues (U, 3) about them, and their spacing.
-        observed: What the samples reflect, their rays (M), and the radiance (M, 3) that is seen.
-        errors: (U, L) mean display error of each sample as metal.
+    `odds` (U,) are log odds, as averaged over each sample's surroundings; `place` is positions (U,
+    3), unit frame, log hues (U, 3) about them, and their spacing; `observed` what the samples
+    reflect, their rays (M), and the radiance (M, 3) that is seen; `errors` (U, L) the mean display
+    error of each sample as metal.
     """
     levels = LEVELS[:_NUM_LEVELS]
     rows = np.flatnonzero(odds > _CANDIDATE_ODDS)

@@ -96,9 +96,8 @@ def specular_towards(
 ) -> tuple[Floats, Floats, Floats]:
     """Specular radiance of samples (N,) towards directions (N, 3), unit, away from the surface.
 
-    Returns:
-        For a dielectric (N, 3), per unit of base colour of a metal (N, 3), and the share (N, 1) of
-        diffuse light that the dielectric's specular layer lets through.
+    For a dielectric (N, 3), per unit of base colour of a metal (N, 3), and the share (N, 1) of
+    diffuse light that the dielectric's specular layer lets through.
     """
     result = np.zeros((2, len(sample), 3), np.float32)
     kept = np.ones((len(sample), 1), np.float32)

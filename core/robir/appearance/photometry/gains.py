@@ -57,12 +57,9 @@ def real_share(log: Array, normals: Floats) -> float:
 
     Two halves of the points, by orientation, give gain + e each. The mean of their products
     estimates the variance of the gains, and over that of their mean it is what is left of them
-    (James and Stein 1961). What may be chance counts as none, as do too few points.
-
-    Args:
-        log: (P, V, 3) log radiance under a plain tone curve, without any falloff, NaN where a view
-            does not show a point.
-        normals: (P, 3) of the points.
+    (James and Stein 1961). What may be chance counts as none, as do too few points. Of log radiance
+    (P, V, 3) under a plain tone curve, without any falloff, NaN where a view does not show a point,
+    and normals (P, 3).
     """
     orientation = orientations(normals)
     is_first = halves(orientation)[orientation]

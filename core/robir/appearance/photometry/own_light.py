@@ -81,16 +81,11 @@ def _least_squares(values: Array, basis: Array, weight: Array, prior: float) -> 
 
 
 def have_own_lights(log: Array, normals: Floats, places: tuple[Floats, Floats]) -> bool:
-    """Whether photographs are each in a light of its own.
+    """Whether photographs are each in a light of its own; of the same log radiance as `real_share`.
 
     Slopes of points in some places must let photographs predict those in others better than gains
-    alone and better than a specular layer under one light.
-
-    Args:
-        log: (P, V, 3) log radiance under a plain tone curve, without any falloff, NaN where a view
-            does not show a point.
-        normals: (P, 3) of the points.
-        places: Where the points (P, 3) and the cameras (V, 3) are, unit frame.
+    alone and better than a specular layer under one light. `places` are those of the points (P, 3)
+    and of the cameras (V, 3), unit frame.
     """
     positions, cameras = places
     cells = np.floor(positions / _PLACE_SIZE)

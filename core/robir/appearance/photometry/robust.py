@@ -22,15 +22,11 @@ _NUM_ROUNDS = 20  # solves, weights renewed after each
 
 
 class Weighing:
-    """Weights that are renewed from round to round.
+    """Weights (P, V) that are renewed from round to round, 0 where a view does not show a point.
 
     Highlights change all points of a plane like a gain, but each orientation by another amount:
-    every orientation has one vote, in which its dull points count more.
-
-    Attributes:
-        known: (P, V) bool, where a view shows a point.
-        weight: (P, V), 0 where it does not.
-        noise: Typical deviation of what counts, log radiance.
+    every orientation has one vote, in which its dull points count more. `noise` is the typical
+    deviation of what counts, log radiance.
     """
 
     def __init__(self, known: NDArray[np.bool_], normals: NDArray[np.float32]) -> None:

@@ -189,11 +189,8 @@ class Pairs:
     ) -> Tensor:
         """How alike the samples of each pair are but for a step, 0..1, (P,).
 
-        Args:
-            log_albedo: (U, 3) of the samples, under some light.
-            hue: Difference in hue, log units, at which it is exp(-1/2).
-            brightness: The same of the mean over the channels.
-            step: (3,) difference between the samples of a pair of one material; none if None.
+        Of log albedo (U, 3). `hue` and `brightness` are the differences, log units, at which it is
+        exp(-1/2); `step` (3,) is that between the samples of a pair of one material, none if None.
         """
         apart = log_albedo[self.first] - log_albedo[self.second]
         if step is not None:

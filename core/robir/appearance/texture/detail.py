@@ -68,12 +68,9 @@ def finer(
 ) -> tuple[Mask, TexelAlbedo]:
     """Texture values with the photographs' detail, and the filled texels (side, side).
 
-    Args:
-        values: As solved.
-        inside: (T, T), the texels they belong to.
-        surface: Unwrapped mesh, unit frame, and its tracer.
-        photographs: Views to read, unit frame, and their tone curve.
-        side: Texels along a side; no more than T leaves all as it is.
+    Of values as solved, the texels (T, T) they belong to, the unwrapped mesh, unit frame, with its
+    tracer, and views, unit frame, with their tone curve. A side of no more than T leaves all as it
+    is.
     """
     if side <= len(inside):
         return inside, values
@@ -206,15 +203,7 @@ class _Levels:
 
 
 class _Lens:
-    """One photograph, ready to tell detail.
-
-    Args:
-        view: Photograph, unit frame.
-        tracer: Tracer of the mesh.
-        curve: Its tone curve.
-        how: Widths of a fine texel and of a solved one, unit frame; and the photograph's sharpness
-            against the others', at most 1.
-    """
+    """One photograph, ready to tell detail."""
 
     def __init__(
         self,

@@ -55,13 +55,8 @@ def smoothed_albedo(albedo: Floats, unknown: Floats, points: Floats, step: int) 
     Every texel is drawn towards the mean of what is like it in its wider surroundings, by inverse
     variances. Errors of the light change brightness more than hue, so likeness asks more of hue.
     The corrections, not the albedo, are then blurred: no error varies faster than the mesh's do,
-    and finer texture stays.
-
-    Args:
-        albedo: (N, 3), > 0.
-        unknown: (N,) one standard deviation of its logarithm.
-        points: (N, 6) result of `with_normals`.
-        step: Every so manieth texel stands for its neighbours.
+    and finer texture stays. `unknown` (N,) is one standard deviation of the albedo's logarithm,
+    `points` (N, 6) come from `with_normals`, and every `step`-th texel stands for its neighbours.
     """
     nodes = np.arange(0, len(points), step)
     afar = np.arange(0, len(nodes), step)

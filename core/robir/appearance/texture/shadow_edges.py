@@ -121,16 +121,11 @@ def solve_shadow_edges(
     edge: NDArray[np.bool_],
     reference: Reference,
 ) -> Floats:
-    """Albedo by the share of sun at shadow edges that makes it one of the surroundings'.
+    """Albedo by the share of sun at shadow edges (N,) that makes it one of the surroundings'.
 
-    Args:
-        diffuse: Albedo (N, 3) by the mesh's own shadows, and radiosity (N, 3).
-        arriving: Irradiance (N, 3) from all but the suns, visibility times cosine of these (N, J),
-            and what they send (J, 3).
-        light: Solved light.
-        texels: The N texels.
-        edge: (N,) those at edges.
-        reference: Certain texels.
+    `diffuse` is albedo (N, 3) by the mesh's own shadows, and radiosity (N, 3); `arriving` is
+    irradiance (N, 3) from all but the suns, visibility times cosine of these (N, J), and what they
+    send (J, 3); `reference` are certain texels.
     """
     (albedo, exitant), (soft, narrow, sun) = diffuse, arriving
     facing = np.clip(texels.normal @ light.axes.T, 0, None)

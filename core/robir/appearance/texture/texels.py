@@ -51,11 +51,7 @@ class TexelAlbedo:
 
 
 class Blend:
-    """Interpolates values of the surface samples at texels, from those alike in orientation.
-
-    Attributes:
-        nearest: (N,) the one sample nearest to each texel.
-    """
+    """Values of surface samples at texels, from those alike in orientation; `nearest` (N,) one."""
 
     def __init__(self, problem: Problem, texels: Texels) -> None:
         """Find the nearest samples of every texel, once."""
@@ -90,11 +86,9 @@ def radiance_towards(
 ) -> tuple[Floats, Floats]:
     """Radiance (M, 3), linear Rec.709, that points send towards cameras, and of the matt texture.
 
-    Args:
-        solved: Scene under a tone curve, its light and specular material.
-        points: What arrives there is found once, however many cameras see it.
-        rays: Point of each of M rays, and its direction (M, 3) unit, towards the camera.
-        material: Albedo (M, 3) and metal (M, 1) of each.
+    What arrives at a point is found once, however many cameras see it. `rays` are the point of each
+    of M rays, and its direction (M, 3) unit, towards the camera; `material` is albedo (M, 3) and
+    metal (M, 1) of each.
     """
     (problem, light, specular), (point, towards), (albedo, metallic) = solved, rays, material
     blend = Blend(problem, points)

@@ -39,11 +39,9 @@ def standard_error(
 ) -> Floats:
     """One standard error (N,) of log albedo, float32 in [floor, LARGEST].
 
-    Args:
-        spread: (N,) standard error over the views of the log of a texel's brightness.
-        changed: (N,) absolute change of log albedo by smoothing, mean over channels.
-        count: (N,) views that show the texel.
-        distance: (N,) to the nearest texel that a view shows, unit frame.
+    `spread` (N,) is the standard error over the views of the log of a texel's brightness, `changed`
+    (N,) the absolute change of log albedo by smoothing, mean over channels, `count` (N,) the views
+    that show it, `distance` (N,) that to the nearest texel that a view shows, unit frame.
     """
     variance = _FLOOR**2 + (_SPREAD * spread) ** 2 + (_CHANGED * changed) ** 2
     variance = variance + _FEW**2 / np.maximum(count, 1)

@@ -23,16 +23,13 @@ _BATCHES = 40  # batches of 2048 rays that are searched for missing parts
 
 
 class ColourNetwork(nn.Module):
-    """Display colour of a ray from its composited features.
+    """Display colour of a ray from its composited features, at least 3 of them a node.
 
     The first three features are the colour itself (before the sigmoid); a small network adds what
-    depends on the view. It sees the mirrored viewing direction, so a highlight, which is a
-    function of that direction, need not be explained by a pit in the surface; sines and cosines
-    of it let the network follow what changes quickly (Tancik et al. 2020, "Fourier features let
-    networks learn high frequency functions in low dimensional domains").
-
-    Args:
-        features: Features C of a node, at least 3.
+    depends on the view. It sees the mirrored viewing direction, so a highlight, which is a function
+    of that direction, need not be explained by a pit in the surface; sines and cosines of it let
+    the network follow what changes quickly (Tancik et al. 2020, "Fourier features let networks
+    learn high frequency functions in low dimensional domains").
     """
 
     def __init__(self, features: int) -> None:
@@ -60,21 +57,11 @@ class ColourNetwork(nn.Module):
 
 
 class Field:
-    """Distance field and colour features of one level.
+    """Distance field and colour features of one level; both are leaves that require gradients.
 
-    Args:
-        lattice: Nodes.
-        sdf: (N,) signed distances, unit frame; they are copied.
-        features: Colour features C of a node.
-        soft_passes: Passes of the (1, 2, 1) / 4 filter under which the network is told of the
-            surface; none where no network is.
-
-    Attributes:
-        lattice: Nodes.
-        sdf: (N,) signed distances, unit frame, a leaf that requires gradients.
-        features: (A, C) colour features, a leaf that requires gradients; row 0 stands for nodes
-            without features.
-        row: (N,) int32, row of each node's features.
+    `sdf` (N,) are signed distances, unit frame, copied; `features` (A, C), of which row 0 stands
+    for nodes without features; `row` (N,) int32 that of each node. `soft_passes` are passes of the
+    (1, 2, 1) / 4 filter under which the network is told of the surface; none where no network is.
     """
 
     def __init__(self, lattice: Lattice, sdf: Tensor, features: int, soft_passes: int = 0) -> None:
@@ -166,12 +153,9 @@ class Field:
     ) -> tuple[Tensor, Tensor]:
         """Display RGB (R, 3) of what rays meet, and their coverage (R,), both in [0, 1].
 
-        Args:
-            intervals: Packed intervals of the rays.
-            looked_up: What the field has at their end points, see the method of that name.
-            network: Colour network.
-            rays: Origins (R, 3) and unit directions (R, 3).
-            inv_std: NeuS steepness, 1 / unit frame.
+        `looked_up` is what the field has at the end points of the packed intervals, see the method
+        of that name; `rays` are origins and unit directions (R, 3); `inv_std` is NeuS' steepness, 1
+        / unit frame.
         """
         (origins, directions), (value, local) = rays, looked_up
         ray = intervals.ray

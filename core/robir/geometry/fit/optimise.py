@@ -65,11 +65,6 @@ class _Optimiser:
     What the colours cannot follow, highlights above all, pushes the surface to and fro as rays come
     and go: Adam would dig lumps that nothing levels again, so a node's step is as long as its
     gradients of many steps agree.
-
-    Args:
-        field: Field of the present level.
-        network: Colour network.
-        rate: Rate of the distances, cells a step.
     """
 
     def __init__(self, field: Field, network: ColourNetwork, rate: float) -> None:
@@ -153,14 +148,7 @@ def _loss(predicted: tuple[Tensor, Tensor], target: Tensor) -> Tensor:
 def _descend(
     field: Field, network: ColourNetwork, soft: tuple[Occupancy, float], rays: tuple[Tensor, ...]
 ) -> Tensor:
-    """Loss of rays, whose gradients field and network take.
-
-    Args:
-        field: The field.
-        network: Its colour network.
-        soft: Where the soft surface may be, and its steepness.
-        rays: Origins, directions, targets and jitter, (R, ...) each.
-    """
+    """Loss of rays (origins, directions, targets, jitter); field and network take its gradients."""
     (occupancy, inv_std), count = soft, len(rays[0])
     parameters = list(network.parameters())
 
@@ -220,23 +208,12 @@ def fit(
     progress: Callable[[float, Present], None],
     settle: Callable[[Field, ColourNetwork], bool],
 ) -> Field:
-    """Fit a field to the rays of a capture.
+    """Fit a field to the rays of a capture, from the lattice and distances of `start` on.
 
-    Args:
-        sampler: Source of rays.
-        start: Lattice and signed distances to start from, usually the visual hull.
-        config: Levels, steps, rays.
-        generator: Source of the samples' jitter and of the network's weights, on the CPU.
-        progress: Called after every few steps with the share done and the field as it is, and
-            with 1.0 when it is settled.
-        settle: Called with field and network at the end of every level, may change the field's
-            distances in place; the fit ends there if it returns True.
-
-    Returns:
-        The field of the finest level, or of that at which it was ended.
-
-    Raises:
-        QualityError: If the loss stops being a number.
+    `progress` is called after every few steps with the share done and the field as it is, and with
+    1.0 when it is settled. `settle` is called with field and network at the end of every level and
+    may change the field's distances in place; the fit ends there if it returns True. The field of
+    that level, or of the finest. `QualityError` if the loss stops being a number.
     """
     lattice, sdf = start
     device = str(sdf.device)

@@ -75,12 +75,8 @@ def _flat_index(
 ) -> Tensor:
     """Flat indices (K, B) int32 of the cells that points on rays fall into, or the nearest cells.
 
-    Args:
-        begin: (3, B) or (3, B, 1) cell coordinates of the rays' first points.
-        slope: Likewise, cells per unit of length.
-        along: (K, B) or (K,) distances of K points a ray from its first.
-        shape: Number of cells along x, y and z.
-        shift: Added to the coordinates before rounding down.
+    Rays begin at `begin`, (3, B) or (3, B, 1) cells, and go `slope` cells per unit of length;
+    `along` (K, B) or (K,) are distances of K points a ray; `shift` is added before rounding down.
     """
     flat: Tensor | None = None
     for axis in range(3):
@@ -155,13 +151,8 @@ def march(
 ) -> Intervals:
     """Intervals that matter for the pixels of rays, found without gradients; there may be none.
 
-    Args:
-        occupancy: Where the surface may be.
-        sdf: (N,) signed distances at the nodes.
-        inv_std: NeuS steepness, 1 / unit frame.
-        origins: (R, 3).
-        directions: (R, 3) unit.
-        jitter: (R,) in [0, 1), offset of a ray's steps as a share of a step.
+    Of signed distances (N,), NeuS' steepness, 1 / unit frame, and rays: origins (R, 3), unit
+    directions (R, 3), and the offset (R,) of their steps as a share of a step, in [0, 1).
     """
     lattice = occupancy.lattice
     ray, number, enter, step = _occupied_steps(occupancy, inv_std, origins, directions, jitter)

@@ -165,12 +165,9 @@ class _Solid(NamedTuple):
 
 
 class PixelRays:
-    """Rays through a photograph's pixels P, and where they meet the ground.
+    """Rays through a photograph's pixels P: the `column` (P,) that each meets, if it `meets` any.
 
-    Attributes:
-        column: (P,) the column that each meets.
-        meets: (P,) whether it is covered and does.
-        sample: Pixels that are looked at where a sample will do.
+    Only covered ones do. `sample` are pixels that are looked at where a sample will do.
     """
 
     def __init__(self, columns: Columns, photo: ReducedPhoto) -> None:
@@ -242,14 +239,8 @@ def find_ground(
 class Backdrop:
     """Finds the picture of the ground, and frees the room in front of it.
 
-    Args:
-        ground: The ground and what of it is bare for certain.
-        photos: Photographs.
-
-    Attributes:
-        ground: The ground.
-        picture: Its display colours at columns' feet, their shape by 3; NaN where unknown.
-        foreign: Columns at whose feet a hue is seen that the ground does not have.
+    `picture` is its display colours at columns' feet, their shape by 3, NaN where unknown;
+    `foreign` are columns at whose feet a hue is seen that the ground does not have.
     """
 
     def __init__(self, ground: Ground, photos: list[ReducedPhoto]) -> None:

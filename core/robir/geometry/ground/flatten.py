@@ -54,16 +54,10 @@ _LEAST_COVERAGE = 0.9  # above which a mask holds a spot
 
 
 class Columns:
-    """A grid of columns over the plane's outline, for heights above the plane.
+    """A grid of columns, `spacing` apart, over the plane's outline, for heights above the plane.
 
-    Args:
-        plane: The support plane.
-        spacing: Distance between columns, unit frame.
-
-    Attributes:
-        feet: (K, 2) coordinates within the plane.
-        shape: Columns along the plane's two directions.
-        inside: Which of them stand on the outline's inside, of that shape.
+    `feet` (K, 2) are coordinates within the plane, `shape` the columns along its two directions,
+    and `inside`, of that shape, those that stand on the outline's inside.
     """
 
     def __init__(self, plane: SupportPlane, spacing: float) -> None:
@@ -114,22 +108,13 @@ def lens_heights(
 
 
 class Ground:
-    """Decides which columns are bare ground and flattens them.
+    """Decides which columns are bare ground and flattens them, by photographs and the visual hull.
 
-    Ground begins at the outline of the plane, which the masks prove, and spreads over columns
-    that are low and whose feet the photographs agree on. A column whose hull is no higher than
-    the hull of bare ground counts as low from the start: the masks hold no evidence of anything.
-
-    Args:
-        plane: The support plane.
-        photos: Photographs.
-        lattice: Lattice of the hull.
-        hull: (N,) signed distance of the visual hull.
-
-    Attributes:
-        columns: Columns over the plane.
-        tops: Height of the hull over each column, -inf where it has none.
-        start: Columns that are bare ground for certain.
+    Ground begins at the outline of the plane, which the masks prove, and spreads over columns that
+    are low and whose feet the photographs agree on. A column whose hull is no higher than the hull
+    of bare ground counts as low from the start: the masks hold no evidence of anything. `tops` is
+    the height of the hull over each column, -inf where it has none; `start` are columns that are
+    bare ground for certain.
     """
 
     def __init__(

@@ -13,17 +13,11 @@ Mask = NDArray[np.bool_]
 
 
 def sample_texture(texture: Array, uv: Array, inside: Mask | None = None, cells: int = 1) -> Array:
-    """Bilinear texture look-up; texels outside the charts take no part.
+    """Bilinear look-up (N, C) in a texture (T, T, C), row 0 at v = 1, at (N, 2) in [0, 1], v up.
 
-    Args:
-        texture: (T, T, C), row 0 at v = 1, texel centres at half integers.
-        uv: (N, 2) in [0, 1], v upwards.
-        inside: (T, T) texels that hold something, or None for all. A point with none of them
-            about it takes the nearest texel as it is.
-        cells: Along a side of an atlas of tiles; a point takes texels of its own cell only.
-
-    Returns:
-        (N, C).
+    Texels that are not `inside` (T, T) take no part; a point with none about it takes the nearest
+    texel as it is. In an atlas with so many `cells` along a side, it takes texels of its own cell
+    only.
     """
     size = np.array(texture.shape[1::-1])
     own = size // cells

@@ -30,12 +30,7 @@ class EmbreeTracer:
     """Ray queries against a fixed mesh; both sides of a triangle count."""
 
     def __init__(self, vertices: Floats, faces: NDArray[np.int32]) -> None:
-        """Build the bounding volumes.
-
-        Args:
-            vertices: (Nv, 3), any frame; rays are in the same frame.
-            faces: (Nf, 3).
-        """
+        """Build the bounding volumes of vertices (Nv, 3), in the rays' frame, and faces (Nf, 3)."""
         self._scene = rtcore_scene.EmbreeScene()
         corners = np.ascontiguousarray(vertices.astype(np.float32)[faces])
         self._mesh = TriangleMesh(self._scene, corners)
