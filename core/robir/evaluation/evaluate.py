@@ -182,8 +182,6 @@ def _mean(values: list[float]) -> float | None:
     return float(np.mean(values)) if values else None
 
 
-Array = NDArray[np.floating[Any]]
-
 LIGHT = "second_light"  # name, without suffix, of the map beside the truth
 WHOLE = 254  # code of alpha from which a pixel is wholly the object's
 _WHOLE_SHARE = 0.999

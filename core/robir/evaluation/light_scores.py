@@ -141,8 +141,6 @@ def _mean_irradiance(image: Array, normals: Array) -> Array:
     return np.maximum((seen * image.reshape(-1, 3)).sum(axis=0), 1e-9)
 
 
-Array = NDArray[np.floating[Any]]
-
 CODES = np.linspace(0.05, 0.95, 91)  # display codes at which curves are compared
 
 

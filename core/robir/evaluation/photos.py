@@ -136,7 +136,6 @@ if TYPE_CHECKING:
     from robir.evaluation.truth import Truth
 
 Array = NDArray[np.floating[Any]]
-Picture = NDArray[np.uint8]
 
 MAX_SIDE = 320  # longer side of a picture that is cut to the object, pixels
 _MARGIN = 1.08

@@ -147,9 +147,6 @@ def write_exr(path: Path, image_linear: NDArray[Any]) -> None:
         OpenEXR.File(header, planes).write(str(temporary))
 
 
-Array = NDArray[np.floating[Any]]
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Part:
     """Faces with a texture of their own."""

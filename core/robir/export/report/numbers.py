@@ -55,7 +55,6 @@ class Products:
     seconds: Callable[[], dict[str, float]]
 
 
-Array = NDArray[np.floating[Any]]
 Picture = NDArray[np.uint8]
 
 _NOT_MEASURED = (
