@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from robir.evaluation.light_scores import CODES, grey_radiance, true_curve
 from robir.maths import tone
-from robir.maths.tone_power import DISPLAY_POWER
+from robir.maths.tone_curve import DISPLAY_POWER
 from robir_bench.chart import SVG_STYLE, svg, tidy
 from robir_bench.table import Record
 

@@ -8,7 +8,7 @@ import trimesh
 from robir.capture.camera import Camera
 from robir.evaluation import surfaces
 from robir.evaluation.layers import view_layers
-from robir.geometry.mesh.atlas import sample_texture
+from robir.geometry.mesh.tiles import sample_texture
 from robir.geometry.mesh.triangles import Mesh, vertex_normals
 
 

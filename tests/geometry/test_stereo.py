@@ -20,14 +20,16 @@ from robir.geometry.stereo.fusion import (
     choose_sources,
     entry_depth,
     fuse,
+    laplacian,
+    smoothest,
     stereo_surface,
 )
-from robir.geometry.stereo.semiglobal import aggregate, refined_minimum
-from robir.geometry.stereo.smoothest import laplacian, smoothest
 from robir.geometry.stereo.sweep import (
     DepthMap,
     StereoPicture,
+    aggregate,
     correlation,
+    refined_minimum,
     seen_through_planes,
     sweep,
 )

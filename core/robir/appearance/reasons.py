@@ -6,8 +6,8 @@ from __future__ import annotations
 from collections.abc import Collection
 
 from robir.appearance.light.solver import Light
+from robir.appearance.photometry.comparison import LEAST_SPREAD, LEAST_STOPS
 from robir.appearance.photometry.exposure import Gains
-from robir.appearance.photometry.other_light import LEAST_SPREAD, LEAST_STOPS
 from robir.appearance.tone.choose import ToneChoice
 from robir.appearance.tone.ranking import fits_alike
 from robir.jobs.context import Choice

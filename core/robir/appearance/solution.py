@@ -11,8 +11,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from robir.appearance.config import AppearanceConfig
-from robir.appearance.evidence.estimate import BY_KNOWN_ALBEDO, Estimate
-from robir.appearance.evidence.level import level_estimates, sent_by_known_albedo
+from robir.appearance.evidence import (
+    BY_KNOWN_ALBEDO,
+    Estimate,
+    level_estimates,
+    sent_by_known_albedo,
+)
 from robir.appearance.light.known_albedo import READ_ERROR
 from robir.appearance.light.prior import NO_PRIOR, LightPrior
 from robir.appearance.light.problem import Problem

@@ -17,7 +17,7 @@ from robir.capture.capture import Bounds
 from robir.capture.store import load_bounds
 from robir.errors import StorageError
 from robir.evaluation.surfaces import MeshCaster
-from robir.geometry.mesh.atlas import sample_texture
+from robir.geometry.mesh.tiles import sample_texture
 from robir.geometry.mesh.triangles import Mesh
 from robir.jobs.paths import JobPaths
 from robir.jobs.records import NUMBERS, read_record

@@ -19,7 +19,7 @@ from robir.evaluation.layers import stored_facts
 from robir.jobs.records import NUMBERS
 from robir.maths import spherical_gaussian as sg
 from robir.maths import tone
-from robir.maths.tone_power import DISPLAY_POWER
+from robir.maths.tone_curve import DISPLAY_POWER
 from robir.maths.vectors import equirect_directions, equirect_solid_angles
 
 Array = NDArray[np.floating[Any]]

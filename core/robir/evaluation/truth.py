@@ -26,7 +26,7 @@ from robir.capture.images.decode import MAX_FILE_BYTES
 from robir.errors import CaptureError, UsageError
 from robir.jobs.names import regular
 from robir.jobs.records import MATRIX, NUMBERS, read_record
-from robir.maths.tone_power import DISPLAY_POWER
+from robir.maths.tone_curve import DISPLAY_POWER
 from robir.maths.vectors import equirect_directions
 
 Array = NDArray[np.float32]

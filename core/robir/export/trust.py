@@ -17,7 +17,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from robir.appearance.evidence.estimate import BY_ALL, BY_KNOWN_ALBEDO
+from robir.appearance.evidence import BY_ALL, BY_KNOWN_ALBEDO
 from robir.capture.capture import Capture, View
 from robir.capture.checks.findings import clipped_share
 from robir.capture.images.loading import resize_view

@@ -16,10 +16,13 @@ import torch
 
 from robir.errors import ConfigError
 from robir.maths.tone_curve import (
+    DISPLAY_POWER,
     MAX_LINEAR,
     SATURATION_LEVEL,
     AbstractToneCurve,
+    PoweredToneCurve,
     linear_from_srgb,
+    powered,
     srgb_from_linear,
 )
 from robir.maths.tone_formula import (
@@ -29,7 +32,6 @@ from robir.maths.tone_formula import (
     LogToneCurve,
     StandardToneCurve,
 )
-from robir.maths.tone_power import DISPLAY_POWER, PoweredToneCurve, powered
 from robir.maths.tone_table import AgxToneCurve, FilmicToneCurve, load_tables
 
 __all__ = [
@@ -77,7 +79,7 @@ def families() -> tuple[AbstractToneCurve, ...]:
 def curve_from_name(name: str, parameters: Mapping[str, float] | None = None) -> AbstractToneCurve:
     """Curve of a family name and its parameters, as tone_curve.json holds them.
 
-    Every family takes `display_power` beside its own, see tone_power.py. `ConfigError` if the
+    Every family takes `display_power` beside its own, see `PoweredToneCurve`. `ConfigError` if the
     family is unknown or the parameters are not its own.
     """
     known = {curve.name: curve for curve in (*families(), LogToneCurve())}

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tone curves given by tables: Blender 4.5's Filmic and AgX.
 
-The tables in tone_tables.npz are samples of the transforms, made by tone_tabulate.py.
+The tables in tone_tables.npz are samples of the transforms, made by `robir_bench.tone_tabulate`.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ import torch
 from appearance import synthetic
 
 from robir.appearance.config import AppearanceConfig
-from robir.appearance.evidence.level import (
+from robir.appearance.evidence import (
     _EXCESS,
     _EXPOSURE,
     _LOG_ALBEDO,

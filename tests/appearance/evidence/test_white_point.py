@@ -11,7 +11,7 @@ import torch
 from appearance import synthetic
 
 from robir.appearance.config import AppearanceConfig
-from robir.appearance.evidence.level import sent_by_known_albedo
+from robir.appearance.evidence import sent_by_known_albedo
 from robir.appearance.light import known_albedo
 from robir.appearance.light.known_albedo import KnownAlbedo
 from robir.appearance.light.lobes import log_sent

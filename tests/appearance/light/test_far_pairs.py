@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import torch
 
-from robir.appearance.light.far_pairs import far_pairs
 from robir.appearance.light.lobes import (
     Priors,
     Transfer,
+    far_pairs,
     log_ratio,
     soft_lobes,
     solve_amplitudes,

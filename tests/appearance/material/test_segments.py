@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from robir.appearance.material.segments import pieces
+from robir.appearance.material.metal import pieces
 
 GOLD, RED = np.array([0.55, 0.34, -0.89]), np.array([1.14, -0.53, -0.61])
 

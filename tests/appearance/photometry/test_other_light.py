@@ -8,9 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from robir.appearance.photometry.comparison import COMPARISON, PhotoComparison
+from robir.appearance.photometry.comparison import COMPARISON, PhotoComparison, find_unlike, unlike
 from robir.appearance.photometry.gains import solve_gains
-from robir.appearance.photometry.other_light import find_unlike, unlike
 from robir.capture.capture import View
 from robir.geometry.mesh.isosurface import plain_mesh
 from robir.geometry.mesh.tracer import EmbreeTracer

@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from robir.appearance.texture.uncertainty import LARGEST, distance_to_seen, standard_error
+from robir.appearance.texture.albedo import LARGEST, distance_to_seen, standard_error
 
 
 def error(spread=0.0, changed=0.0, count=1e9, distance=0.0):

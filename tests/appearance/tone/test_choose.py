@@ -8,8 +8,7 @@ import pytest
 from appearance import synthetic
 
 from robir.appearance.config import AppearanceConfig
-from robir.appearance.tone.choose import choose_tone_curve
-from robir.appearance.tone.clipping import clipping_evidence
+from robir.appearance.tone.choose import choose_tone_curve, clipping_evidence
 from robir.appearance.tone.ranking import camera_lags, simplest_near_best
 from robir.maths.tone import curve_from_name
 from robir.steps import Pipeline

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from robir.appearance.tone.gamut import share_beyond, unable
+from robir.appearance.tone.choose import share_beyond, unable
 from robir.maths.tone import curve_from_name
 from robir.transport.observe import Observations
 

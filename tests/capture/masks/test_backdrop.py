@@ -11,7 +11,7 @@ from capture.masks import scene
 from PIL import Image
 
 from robir.capture.config import CaptureConfig
-from robir.capture.masks.backdrop import backdrop_masks
+from robir.capture.masks.unmasked import backdrop_masks
 from robir.capture.recognise import read_capture
 
 BARS = [

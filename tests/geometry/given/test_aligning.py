@@ -18,8 +18,7 @@ from robir.capture.mesh_file import Given
 from robir.capture.store import load_bounds, load_settled, save_capture, save_frame
 from robir.errors import CaptureError, StorageError
 from robir.geometry.config import GeometryConfig
-from robir.geometry.given.aligning import Aligned, aligned
-from robir.geometry.given.surface import hand_in
+from robir.geometry.given.surface import Aligned, aligned, hand_in
 from robir.jobs.paths import JobPaths, read_json, write_json
 from robir.maths.similarity import AS_IT_IS, Similarity
 

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 from torch import Tensor
 
-from robir.appearance.light.far_pairs import far_pairs
 from robir.appearance.light.pair_loss import PairWeights
 from robir.appearance.light.prior import NO_PRIOR, LightPrior
 from robir.appearance.photometry.statistics import Pairs, Radiance
@@ -27,6 +27,46 @@ from robir.maths.daylight import PART, SUN, WHOLE
 from robir.maths.spherical_gaussian import SphericalGaussians, amplitude_from_irradiance
 from robir.maths.vectors import fibonacci_sphere
 from robir.transport.visibility import Visibility
+
+_DRAWS = 8  # partners of a sample: the nearest in hue of as many draws, so that they lie all over
+
+_SHARE = 8  # a draw is one sample in so many
+
+_FEWEST = 60  # samples of a draw at least; with fewer than twice as many in all there are no pairs
+
+_FAR_HUE = 0.06  # difference of two log chromaticities at which a pair counts exp(-1/2)
+
+
+def far_pairs(log_albedo: Tensor, whole: Tensor) -> Pairs | None:
+    """Pairs of one hue among samples of log albedo (U, 3), those most alike counting most.
+
+    Neighbours do not see the shading of a smooth thing. Two samples of one hue are often of one
+    material and as bright as each other under the right light; hue is nearly right under a
+    half-solved light. Of the samples `whole` (W,), of which no channel is clipped; None with too
+    few.
+    """
+    if len(whole) < 2 * _FEWEST:
+        return None
+    values, rows = log_albedo.numpy(), whole.numpy()
+    hue = np.stack([values[:, 0] - values[:, 1], values[:, 2] - values[:, 1]], axis=1)[rows]
+    rng, every = np.random.default_rng(0), np.arange(len(rows))
+    partners = [_nearest(hue, rng) for _ in range(_DRAWS)]
+    first, second = np.tile(every, _DRAWS), np.concatenate(partners)
+    apart = first != second
+    first, second = first[apart], second[apart]
+    squared = ((hue[first] - hue[second]) ** 2).sum(1)
+    weight = torch.from_numpy(np.exp(-0.5 * squared / _FAR_HUE**2).astype(np.float32))
+    pairs = Pairs(
+        first=torch.from_numpy(rows[first]), second=torch.from_numpy(rows[second]), weight=weight
+    )
+    return pairs.weighted(torch.ones_like(weight))
+
+
+def _nearest(hue: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.int64]:
+    """The nearest in hue (W, 2) to every sample among those drawn, (W,)."""
+    drawn = rng.choice(len(hue), max(_FEWEST, len(hue) // _SHARE), replace=False)
+    return drawn[cKDTree(hue[drawn]).query(hue)[1]]
+
 
 # Sharpness of a soft lobe per number of lobes: neighbours then overlap at 60 % of their peak. It
 # says what amplitudes of a light mean.
@@ -143,7 +183,7 @@ class Priors:
 
     # prior of the light as a whole; it weighs as `_HUE` does, per squared deviation
     light: LightPrior = NO_PRIOR
-    far: float = 0.0  # weight of equal albedo where the hue is one, see far_pairs.py
+    far: float = 0.0  # weight of equal albedo where the hue is one, see `far_pairs`
     # weight of equal albedo on both sides of a shadow
     shadow: float = field(default_factory=lambda: _SHADOW)
     # weight of neighbouring soft lobes being alike

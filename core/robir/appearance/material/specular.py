@@ -21,7 +21,7 @@ from torch import Tensor
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
 from robir.appearance.material.highlights import LEVELS, UNKNOWN, Highlights
-from robir.appearance.material.metal import find_metal, near, tested_parts
+from robir.appearance.material.metal import clusters, find_metal, means, near, tested_parts
 from robir.appearance.material.observed import (
     LEAST_DIFFUSE,
     ObservedRays,
@@ -38,7 +38,6 @@ from robir.appearance.material.reflections import (
     view_rays,
 )
 from robir.appearance.material.roughness import RoughnessPatches, choose_roughness
-from robir.appearance.material.segments import clusters, means
 from robir.appearance.material.trial import MaterialTrial
 from robir.appearance.photometry.statistics import texture_weights
 from robir.jobs.context import Choice

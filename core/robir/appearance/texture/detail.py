@@ -30,7 +30,7 @@ from robir.appearance.texture.texels import MAX_ALBEDO, MIN_ALBEDO, TexelAlbedo
 from robir.capture.capture import Bounds, View
 from robir.capture.checks.coverage import relative_sharpness
 from robir.capture.images.loading import resize_view
-from robir.geometry.mesh.atlas import sample_texture
+from robir.geometry.mesh.tiles import sample_texture
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.mesh.unwrap import rasterise_atlas

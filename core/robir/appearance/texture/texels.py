@@ -45,7 +45,7 @@ class TexelAlbedo:
     disagreement: Floats
     read: Floats  # (N, 3) float32, albedo before smoothing
     unknown: Floats  # (N,) float32, one standard deviation of its logarithm
-    uncertainty: Floats  # (N,) float32, one standard error of log albedo, see uncertainty.py
+    uncertainty: Floats  # (N,) float32, one standard error of log albedo, see `standard_error`
     roughness: Floats  # (N,) float32
     metallic: Floats  # (N,) float32, 0 or 1
 

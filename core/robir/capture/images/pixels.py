@@ -21,8 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import ExifTags, Image, ImageCms
 
-from robir.capture.refusal import refuse
-from robir.maths.primaries import (
+from robir.capture.images.linear import (
     D50,
     D65,
     REC709,
@@ -32,6 +31,7 @@ from robir.maths.primaries import (
     srgb_codes,
     xyz_to_rec709,
 )
+from robir.capture.refusal import refuse
 
 _PLAIN = ("L", "RGB", "CMYK")  # modes that LittleCMS is given
 _BAND = 1 << 18  # pixels that are converted at a time

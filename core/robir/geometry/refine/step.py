@@ -23,8 +23,7 @@ from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.rays import reduce_view
 from robir.geometry.refine.correlation import correlations, outline_shifts, pixel_size, seen_by
-from robir.geometry.stereo.semiglobal import refined_minimum
-from robir.geometry.stereo.sweep import StereoPicture
+from robir.geometry.stereo.sweep import StereoPicture, refined_minimum
 from robir.workers import side_by_side
 
 Array = NDArray[np.float64]

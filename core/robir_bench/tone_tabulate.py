@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Samples Blender's Filmic and AgX view transforms into tone_tables.npz.
 
-    python -m robir.maths.tone_tabulate .../colormanagement/config.ocio
+    python -m robir_bench.tone_tabulate .../colormanagement/config.ocio
 
 Needs the `opencolorio` package; the library itself only reads the tables. Written are, all as
 facts about the output of the transforms, none as a copy of their source:

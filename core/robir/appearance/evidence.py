@@ -8,17 +8,39 @@ photograph shows, as by an incident-light meter.
 
 from __future__ import annotations
 
+from dataclasses import asdict, dataclass
+from typing import Any
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from robir.appearance.evidence.estimate import BY_ALL, Estimate
 from robir.appearance.light.known_albedo import KnownAlbedo
 from robir.appearance.light.lobes import BRIGHTEST_QUANTILE, log_ratio, log_sent
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
 from robir.appearance.material.specular import SpecularMaterial
+
+# names of the last rows: all evidence together, and the albedo that the user knows, if any
+BY_ALL, BY_KNOWN_ALBEDO = "all", "known paint"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Estimate:
+    """One row of the report's table of evidence."""
+
+    # "level", mean over the channels of the log mean irradiance; or "hue", log of its red over its
+    # blue
+    of: str
+    by: str  # the evidence
+    value: float  # log units
+    deviation: float  # one standard deviation
+
+    def plain(self) -> dict[str, Any]:
+        """As JSON has it."""
+        return asdict(self)
+
 
 Reals = NDArray[np.float64]
 
