@@ -286,14 +286,8 @@ def _add_evaluate(subparsers: argparse._SubParsersAction[argparse.ArgumentParser
     parser = subparsers.add_parser(
         "evaluate", help="say which stage loses the photographs, and compare with a truth"
     )
-    parser.set_defaults(command=commands.evaluate)
+    parser.set_defaults(command=commands.evaluate, truth=None)
     parser.add_argument("out", type=path_argument, metavar="OUT", help="finished result folder")
-    parser.add_argument(
-        "--truth",
-        type=path_argument,
-        metavar="CAPTURE",
-        help="the rendered capture it was made from",
-    )
     parser.add_argument("--json", action="store_true", help="scores as JSON on standard output")
 
 

@@ -104,14 +104,12 @@ def check(options: Namespace) -> int:
 
 
 def evaluate(options: Namespace) -> int:
-    """Say at which level a result loses the photographs, and compare it with the truth if given.
+    """Say at which level a result loses the photographs; the bench compares it with a truth.
 
     Scores and pictures go beside the report, the levels into it.
     """
     paths = _finished(options.out)
-    from robir.evaluation.evaluate import evaluate as judge
     from robir.evaluation.levels import level_lines, level_scores
-    from robir.evaluation.scores import score_lines
     from robir.export.report.write import show_levels
 
     levels = level_scores(paths, paths.levels_strip)
@@ -119,9 +117,8 @@ def evaluate(options: Namespace) -> int:
     show_levels(paths, levels)
     scores, lines = {}, level_lines(levels)
     if options.truth is not None:
-        scores = judge(paths, options.truth, paths.truth_sheet)
-        write_json(paths.scores, scores)
-        lines = [*score_lines(scores), "", *lines]
+        scores, told = options.compare(paths, options.truth)
+        lines = [*told, "", *lines]
     print(json.dumps(scores | {"levels": levels}, indent=2) if options.json else "\n".join(lines))
     return 0
 
@@ -130,7 +127,7 @@ def relight(options: Namespace) -> int:
     """Render a finished result under another light; prints the pictures' paths."""
     paths = _finished(options.out)
     from robir.display import display_for
-    from robir.evaluation.truth import refuse_light
+    from robir.evaluation.light import refuse_light
     from robir.export.blender import run_headless
     from robir.jobs.folder import folder_lock
     from robir.pipeline.faults import stop_requested

@@ -18,7 +18,14 @@ from matplotlib.figure import Figure
 
 from robir.appearance import stage as appearance
 from robir.errors import UsageError
-from robir.evaluation.scores import (
+from robir.geometry import stage as geometry
+from robir.steps import Step
+from robir_bench.chart import SVG_STYLE, svg, tidy
+from robir_bench.distribution import Estimate, estimate, mean
+from robir_bench.plan import OURS, BenchRun
+from robir_bench.population import figure, groups
+from robir_bench.table import Record, Table, split
+from robir_bench.truth.scores import (
     ALBEDO,
     HUE,
     LEVEL,
@@ -30,13 +37,6 @@ from robir.evaluation.scores import (
     SUN,
     Score,
 )
-from robir.geometry import stage as geometry
-from robir.steps import Step
-from robir_bench.chart import SVG_STYLE, svg, tidy
-from robir_bench.distribution import Estimate, estimate, mean
-from robir_bench.plan import OURS, BenchRun
-from robir_bench.population import figure, groups
-from robir_bench.table import Record, Table, split
 
 HEADLINES = (ALBEDO, RAW_ALBEDO, SHADOW, ROUGHNESS, NORMALS, LEVEL, HUE, SUN)
 """Figures by which a step earns its place."""

@@ -13,8 +13,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import StrMethodFormatter
 
-from robir.evaluation.scores import ALBEDO, RERENDER, SECONDS, SHADOW, Score
 from robir_bench.table import Record, value
+from robir_bench.truth.scores import ALBEDO, RERENDER, SECONDS, SHADOW, Score
 
 PANELS = (ALBEDO, SHADOW, RERENDER)
 

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The commands `robir bench` and `robir stability`; heavy imports happen where they are used."""
+"""The commands `robir bench` and `robir stability`, and the option `robir evaluate --truth`.
+
+Heavy imports happen where they are used.
+"""
 
 from __future__ import annotations
 
@@ -8,19 +11,28 @@ import sys
 from argparse import Namespace
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from robir.arguments import add_constant, path_argument, positive
 from robir.errors import UsageError
+from robir.jobs.paths import JobPaths, write_json
 
 if TYPE_CHECKING:
     from robir_bench.plan import BenchRun
 
 
 def add_to(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add both to the parsers of `robir`."""
+    """Add them to the parsers of `robir`."""
     _add_bench(subparsers)
     _add_stability(subparsers)
+    evaluate = subparsers.choices["evaluate"]
+    evaluate.set_defaults(compare=compared_with_truth)
+    evaluate.add_argument(
+        "--truth",
+        type=path_argument,
+        metavar="CAPTURE",
+        help="the rendered capture it was made from",
+    )
 
 
 def _add_bench(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -109,6 +121,16 @@ def _add_runs(parser: argparse.ArgumentParser, *, is_out_needed: bool) -> None:
     )
     parser.add_argument("--task", type=int, metavar="N", help="only run N of the plan, for farms")
     add_constant(parser)
+
+
+def compared_with_truth(paths: JobPaths, truth: Path) -> tuple[dict[str, Any], list[str]]:
+    """Scores of a result against the truth, written beside the report, and lines of them."""
+    from robir_bench.truth.evaluate import evaluate
+    from robir_bench.truth.scores import score_lines
+
+    scores = evaluate(paths, truth, paths.truth_sheet)
+    write_json(paths.scores, scores)
+    return scores, score_lines(scores)
 
 
 def bench(options: Namespace) -> int:

@@ -10,11 +10,11 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from robir.evaluation.light_scores import CODES, grey_radiance, true_curve
 from robir.maths import tone
 from robir.maths.tone_curve import DISPLAY_POWER
 from robir_bench.chart import SVG_STYLE, svg, tidy
 from robir_bench.table import Record
+from robir_bench.truth.light import CODES, grey_radiance, true_curve
 
 _INK, _ACCENT, _MUTED = "#20262d", "#c8502d", "#9aa4ae"
 _COLUMNS = 4

@@ -13,9 +13,9 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from robir.evaluation.scores import ALBEDO, SHADOW
 from robir_bench.chart import SVG_STYLE, svg
 from robir_bench.table import Record, Table, value
+from robir_bench.truth.scores import ALBEDO, SHADOW
 
 MISLED_DECIBEL = 6.0
 """A run whose albedo is this far below the median of its scene's unperturbed runs is wrong."""

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from robir.evaluation.levels import level_notes
-from robir.evaluation.scores import ALBEDO
 from robir.export.page import page_template
 from robir.export.report.pictures import inline_lossless
 from robir.jobs.paths import replacing, write_json
@@ -37,6 +36,7 @@ from robir_bench.table import (
     split,
     value,
 )
+from robir_bench.truth.scores import ALBEDO
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -18,7 +18,6 @@ from robir.capture.arrays import PICTURES, stored_arrays
 from robir.capture.camera import Camera
 from robir.capture.capture import Capture, View
 from robir.capture.store import load_settled
-from robir.evaluation.aligned import truth_of
 from robir.evaluation.layers import load_textures, stored_mesh, view_layers
 from robir.evaluation.metrics import srgb_from_linear
 from robir.evaluation.photos import (
@@ -33,6 +32,7 @@ from robir.evaluation.photos import (
 from robir.evaluation.surfaces import MeshCaster
 from robir.geometry.mesh.triangles import Mesh
 from robir.jobs.paths import JobPaths, replacing
+from robir_bench.truth.aligned import truth_of
 
 TILES = ("photograph", "true albedo", "albedo")
 """What `draw_result` puts side by side, left to right."""

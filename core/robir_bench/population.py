@@ -13,7 +13,12 @@ from pathlib import Path
 from typing import Any
 
 from robir.errors import ConfigError
-from robir.evaluation.scores import (
+from robir.jobs.paths import read_json
+from robir_bench.distribution import CONFIDENCE, Estimate, estimate, mean, quantile
+from robir_bench.plan import OURS, BenchRun, Plan
+from robir_bench.table import Record, Table, failures, split, value
+from robir_bench.truth.files import has_truth
+from robir_bench.truth.scores import (
     ABOVE_PHOTO,
     ALBEDO,
     HUE,
@@ -28,11 +33,6 @@ from robir.evaluation.scores import (
     SUN,
     Score,
 )
-from robir.evaluation.truth import has_truth
-from robir.jobs.paths import read_json
-from robir_bench.distribution import CONFIDENCE, Estimate, estimate, mean, quantile
-from robir_bench.plan import OURS, BenchRun, Plan
-from robir_bench.table import Record, Table, failures, split, value
 
 VERDICT_SEED = 1000
 """Captures of seeds from here on are kept for verdicts; those below are for development."""

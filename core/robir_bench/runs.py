@@ -17,14 +17,14 @@ from typing import Any
 from robir.batch.local import worker_environment
 from robir.config import resolve
 from robir.errors import QualityError, RobirError
-from robir.evaluation.evaluate import second_light
-from robir.evaluation.truth import has_truth
 from robir.jobs.paths import STAGES, JobPaths, read_json, replacing, write_json
 from robir.pipeline.device import Usage
 from robir.presets import PRESETS
 from robir_bench.judge.oracles import is_set_after_step, mesh_of
 from robir_bench.paper.config import VARIANTS, shrunken
 from robir_bench.plan import BORROWERS, MITSUBA_TOLD, OURS, PHOTO, BenchRun
+from robir_bench.truth.evaluate import second_light
+from robir_bench.truth.files import has_truth
 
 Record = dict[str, Any]
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from statistics import median
 from typing import Any
 
-from robir.evaluation.scores import COSTS, LEVEL_SCORES, SCORES, SECONDS, Score
+from robir_bench.truth.scores import COSTS, LEVEL_SCORES, SCORES, SECONDS, Score
 
 Record = dict[str, Any]
 

@@ -11,8 +11,8 @@ from pathlib import Path
 from evaluation import sphere_run
 
 from robir.evaluation.levels import level_scores
-from robir.evaluation.truth import has_truth
 from robir.jobs.paths import STAGES, JobPaths, write_json
+from robir_bench.truth.files import has_truth
 
 
 def write_plan(folder: Path, text: str) -> Path:

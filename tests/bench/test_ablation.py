@@ -11,8 +11,8 @@ import pytest
 from bench.fake_robir import scores
 
 from robir import cli
-from robir.evaluation.scores import ALBEDO, RAW_ALBEDO
 from robir_bench.ablation import ENOUGH, chosen_trials, trials, worths
+from robir_bench.truth.scores import ALBEDO, RAW_ALBEDO
 
 CLASSES = {"ground": "ground", "paint": "plain", "metal": "none", "tone": "Filmic", "sun": "sun"}
 TRIAL = trials()[0]

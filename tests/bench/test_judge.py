@@ -14,12 +14,12 @@ from robir import cli
 from robir.appearance.light.lobes import Amplitudes, sky_radiance
 from robir.appearance.light.solver import Light
 from robir.errors import UsageError
-from robir.evaluation.truth import load_truth
 from robir.maths.vectors import equirect_directions, equirect_solid_angles
 from robir_bench.judge.oracle_table import told_runs
 from robir_bench.judge.oracles import ORACLES, Oracle, is_set_after_step, mesh_of, settings_of
 from robir_bench.judge.scores import compared, keep
 from robir_bench.plan import BenchRun
+from robir_bench.truth.files import load_truth
 
 CLASSES = {"sun": "no sun", "ground": "none"}
 

@@ -13,11 +13,12 @@ from evaluation import sphere_run
 from PIL import Image
 
 from robir.errors import ConfigError
-from robir.evaluation.light_scores import true_curve
-from robir.evaluation.metrics import linear_from_srgb
-from robir.evaluation.truth import load_truth, read_exr
+from robir.evaluation.light import read_exr
 from robir.maths import tone
 from robir_bench.stability.perturb import Perturbation
+from robir_bench.truth.files import load_truth
+from robir_bench.truth.light import true_curve
+from robir_bench.truth.metrics import linear_from_srgb
 
 
 @pytest.fixture(scope="module")

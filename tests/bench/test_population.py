@@ -12,13 +12,13 @@ from bench.fake_robir import scores
 
 from robir import cli
 from robir.errors import ConfigError
-from robir.evaluation.scores import ALBEDO
 from robir_bench.population import (
     below_photo,
     capture_classes,
     read_population,
     verdicts,
 )
+from robir_bench.truth.scores import ALBEDO
 
 SUNNY = {"ground": "ground", "paint": "plain", "metal": "metal", "tone": "Filmic", "sun": "sun"}
 DULL = SUNNY | {"ground": "none", "sun": "no sun"}

@@ -16,7 +16,7 @@ from evaluation import sphere_run
 from robir import cli
 from robir.capture.camera import Camera
 from robir.errors import DeviceError
-from robir.evaluation.light_scores import load_light
+from robir.evaluation.light import load_light
 from robir.geometry.mesh.triangles import Mesh
 from robir.jobs.paths import read_json, write_json
 from robir.maths.tone import families

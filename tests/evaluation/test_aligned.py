@@ -13,10 +13,10 @@ from scipy.spatial.transform import Rotation
 
 from robir.capture.store import load_settled
 from robir.errors import CaptureError
-from robir.evaluation.aligned import align
-from robir.evaluation.evaluate import evaluate
-from robir.evaluation.truth import load_truth
 from robir.maths.similarity import Similarity
+from robir_bench.truth.aligned import align
+from robir_bench.truth.evaluate import evaluate
+from robir_bench.truth.files import load_truth
 
 AWAY = Similarity(
     turn=Rotation.from_rotvec([0.5, -1.1, 0.7]).as_matrix(),

@@ -7,11 +7,11 @@ from evaluation import sphere_run
 from PIL import Image
 
 from robir.errors import CaptureError, StorageError
-from robir.evaluation.evaluate import evaluate
-from robir.evaluation.light_scores import load_light
+from robir.evaluation.light import load_light
 from robir.geometry.mesh.triangles import Mesh
 from robir.jobs.paths import read_json, write_json
 from robir.maths.vectors import equirect_solid_angles
+from robir_bench.truth.evaluate import evaluate
 
 
 @pytest.fixture(scope="module")

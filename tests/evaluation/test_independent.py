@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import cosine
 
-from robir.evaluation import metrics, surfaces
+from robir_bench.truth import metrics, surfaces
 
 
 @pytest.fixture(params=range(3))

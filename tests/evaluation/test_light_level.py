@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from evaluation import sphere_run
 
-from robir.evaluation.evaluate import evaluate
-from robir.evaluation.light_scores import level_and_hue
+from robir_bench.truth.evaluate import evaluate
+from robir_bench.truth.light import level_and_hue
 
 ROWS = 64
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])

@@ -8,9 +8,9 @@ import pytest
 from evaluation import sphere_run
 from PIL import Image
 
-from robir.evaluation.evaluate import evaluate, relit_picture
 from robir.evaluation.metrics import srgb_from_linear
-from robir.evaluation.truth import load_truth
+from robir_bench.truth.evaluate import evaluate, relit_picture
+from robir_bench.truth.files import load_truth
 
 LIGHT = np.array([0.9, 0.5, 0.2])
 """Radiance of a white surface under the second light, which is even."""

@@ -6,10 +6,11 @@ import pytest
 import trimesh
 
 from robir.capture.camera import Camera
-from robir.evaluation import surfaces
 from robir.evaluation.layers import view_layers
+from robir.evaluation.surfaces import MeshCaster
 from robir.geometry.mesh.tiles import sample_texture
 from robir.geometry.mesh.triangles import Mesh, vertex_normals
+from robir_bench.truth import surfaces
 
 
 def mesh_of(solid, uvs=None, uv_faces=None):
@@ -34,7 +35,7 @@ def camera_at(distance, size=41):
 
 
 def test_a_sphere_is_seen_as_a_sphere():
-    seen = surfaces.MeshCaster(mesh_of(trimesh.creation.icosphere(5))).cast(camera_at(4.0))
+    seen = MeshCaster(mesh_of(trimesh.creation.icosphere(5))).cast(camera_at(4.0))
     camera = camera_at(4.0)
     _, direction = camera.rays(camera.pixel_centres())
     half = camera.position @ direction.T

@@ -3,8 +3,8 @@
 
 import pytest
 
-from robir.evaluation.light_scores import stops_apart, tone_scores, true_curve
 from robir.maths import tone
+from robir_bench.truth.light import stops_apart, tone_scores, true_curve
 
 
 class Exposed(tone.StandardToneCurve):

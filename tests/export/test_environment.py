@@ -9,7 +9,7 @@ import pytest
 import torch
 from evaluation import sphere_run
 
-from robir.evaluation.light_scores import load_light
+from robir.evaluation.light import load_light
 from robir.export.exchange import export_light, sun_lamps
 from robir.jobs.paths import read_json, write_json
 from robir.maths import spherical_gaussian as sg

@@ -20,7 +20,7 @@ from export.test_stage import Recorder, context
 
 from robir import cli
 from robir.capture.store import load_capture
-from robir.evaluation.light_scores import load_light
+from robir.evaluation.light import load_light
 from robir.export import stage
 from robir.export.report.pictures import VIEWER_SCRIPT, embedded_lights, start_orbit
 from robir.jobs.paths import JobPaths, read_json, write_json

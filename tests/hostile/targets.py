@@ -31,7 +31,7 @@ from robir.capture.poses.sources import take_frames
 from robir.capture.recognise import read_frames
 from robir.capture.store import load_capture
 from robir.errors import RobirError
-from robir.evaluation.truth import refuse_light
+from robir.evaluation.light import refuse_light
 from robir.export.gltf import write_glb
 from robir.export.textures import finished_textures, write_exr
 from robir.jobs import client

@@ -8,7 +8,7 @@ import OpenEXR
 import pytest
 
 from robir.errors import UsageError
-from robir.evaluation.truth import refuse_light
+from robir.evaluation.light import refuse_light
 from robir.export.textures import write_exr
 
 

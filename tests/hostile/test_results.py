@@ -23,9 +23,7 @@ from robir.errors import (
     StorageError,
     UsageError,
 )
-from robir.evaluation.evaluate import evaluate
 from robir.evaluation.levels import level_scores
-from robir.evaluation.truth import load_truth
 from robir.jobs import client
 from robir.jobs.folder import create
 from robir.jobs.names import UnsafeNameError, file_in
@@ -33,6 +31,8 @@ from robir.jobs.paths import JobPaths, write_json
 from robir.jobs.status import StatusWriter
 from robir.pipeline.folder import read_config, read_run
 from robir.pipeline.ledger import stage_state
+from robir_bench.truth.evaluate import evaluate
+from robir_bench.truth.files import load_truth
 
 
 @pytest.fixture(scope="module")

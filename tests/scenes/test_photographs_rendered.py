@@ -24,8 +24,8 @@ from robir.capture.frames import FrameSet
 from robir.capture.poses.sources import find_photographs
 from robir.capture.recognise import read_frames
 from robir.errors import CaptureError
-from robir.evaluation.aligned import align
-from robir.evaluation.truth import load_truth
+from robir_bench.truth.aligned import align
+from robir_bench.truth.files import load_truth
 
 pytestmark = [pytest.mark.blender, pytest.mark.slow]
 

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scores of a result against known truth; every score with its definition."""
+"""How well a result repeats photographs, and which level of the chain loses them."""

@@ -6,21 +6,19 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from robir.capture.arrays import PICTURES, stored_arrays
 from robir.capture.capture import View
-from robir.capture.store import load_settled
 from robir.evaluation import metrics
 from robir.evaluation.layers import Layers
 from robir.evaluation.surfaces import MeshCaster
 from robir.geometry.mesh.triangles import Mesh
-from robir.jobs.paths import JobPaths, replacing
+from robir.jobs.paths import replacing
 from robir.maths.tone import curve_from_name
 from robir.maths.tone_curve import AbstractToneCurve
 from robir.transport.observe import MASK_INSIDE
@@ -131,15 +129,10 @@ def read_picture(path: Path) -> Picture:
         return np.array(image.convert("RGBA" if image.mode == "RGBA" else "RGB"))
 
 
-if TYPE_CHECKING:
-    # What it reads truth with takes a second to load, and the report has no truth.
-    from robir.evaluation.truth import Truth
-
 Array = NDArray[np.floating[Any]]
 
 MAX_SIDE = 320  # longer side of a picture that is cut to the object, pixels
 _MARGIN = 1.08
-_MAX_ROWS = 4
 _GAP = 4
 _LABEL_HEIGHT = 26
 BACKGROUND = 36  # code of the dark grey behind pictures
@@ -197,51 +190,6 @@ def thumbnail(picture: Picture, side: int = MAX_SIDE) -> Picture:
     image = Image.fromarray(picture)
     image.thumbnail((side, side))
     return np.asarray(image)
-
-
-def truth_sheet(
-    paths: JobPaths, layers: tuple[Layers, ...], truth: Truth, albedo_scale: Array
-) -> list[dict[str, Picture]]:
-    """Up to four rows: photograph, re-render, and materials and normals, beside their truth."""
-    rerenders = _rerenders(paths)
-    rows = []
-    count = min(_MAX_ROWS, len(truth.views))
-    for index in np.linspace(0, len(truth.views) - 1, count).round().astype(int):
-        view, ours = truth.views[index], layers[index]
-        pictures = layer_pictures(ours, albedo_scale)
-        blank = np.full((*view.hit.shape, 3), BACKGROUND, np.uint8)
-        again = rerenders.get(_pose_key(view.camera.camera_to_world), blank)
-        true_albedo = metrics.srgb_from_linear(view.albedo)
-        rows.append(
-            {
-                "photo": display_codes(view.photo_display, view.hit),
-                "re-render": again,
-                "albedo (scaled)": pictures["albedo"],
-                "true albedo": display_codes(true_albedo, view.hit),
-                "roughness": pictures["roughness"],
-                "true roughness": display_codes(view.roughness, view.hit),
-                "normals": pictures["normals"],
-                "true normals": display_codes(0.5 + 0.5 * view.normal, view.hit),
-            }
-        )
-    return rows
-
-
-def _rerenders(paths: JobPaths) -> dict[tuple[float, ...], Picture]:
-    """Our own re-renders of held-out views by camera pose."""
-    held_out = paths.stage("appearance") / "held_out.npz"
-    capture = load_settled(paths)
-    arrays = stored_arrays(held_out, PICTURES)
-    found = {
-        _pose_key(view.camera.camera_to_world): arrays[view.name]
-        for view in capture.held_out
-        if view.name in arrays
-    }
-    return {key: picture[..., :3] for key, picture in found.items()}
-
-
-def _pose_key(camera_to_world: NDArray[np.float64]) -> tuple[float, ...]:
-    return tuple(np.round(camera_to_world[:3, 3], 4).tolist())
 
 
 def save_sheet(path: Path, rows: Sequence[dict[str, Picture]]) -> None:

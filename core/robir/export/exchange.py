@@ -30,7 +30,7 @@ from robir.capture.capture import Capture
 from robir.capture.frames import OPENGL_FROM_OPENCV
 from robir.capture.store import plain_view, view_path
 from robir.evaluation.layers import TONE_CURVE, stored_facts
-from robir.evaluation.light_scores import RecoveredLight, load_light
+from robir.evaluation.light import RecoveredLight, load_light
 from robir.export.textures import write_exr
 from robir.jobs.paths import JobPaths, read_json, replacing, write_json
 from robir.jobs.records import NUMBERS

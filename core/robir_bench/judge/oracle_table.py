@@ -7,12 +7,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from robir.errors import UsageError
-from robir.evaluation.scores import ALBEDO, RAW_ALBEDO, RELIT, RERENDER, Score
 from robir_bench.ablation import gains
 from robir_bench.distribution import estimate, mean, quantile
 from robir_bench.judge.oracles import ORACLES, settings_of
 from robir_bench.plan import OURS, BenchRun
 from robir_bench.table import Record, Table, split
+from robir_bench.truth.scores import ALBEDO, RAW_ALBEDO, RELIT, RERENDER, Score
 
 Classes = Mapping[str, Mapping[str, str]]
 

@@ -34,13 +34,14 @@ from robir.appearance.smooth_normals import LitSurface
 from robir.appearance.solution import Solution
 from robir.capture.store import load_settled
 from robir.errors import UsageError
-from robir.evaluation.aligned import Alignment, truth_of
-from robir.evaluation.light_scores import RecoveredLight, level_and_hue, true_curve
-from robir.evaluation.truth import Truth, lamps_of, load_truth, read_exr, true_environment
+from robir.evaluation.light import RecoveredLight, read_exr
 from robir.geometry.mesh.triangles import vertex_normals
 from robir.jobs.paths import JobPaths
 from robir.maths.vectors import equirect_directions, equirect_solid_angles
 from robir.steps import Correction, corrected
+from robir_bench.truth.aligned import Alignment, truth_of
+from robir_bench.truth.files import Truth, lamps_of, load_truth, true_environment
+from robir_bench.truth.light import level_and_hue, true_curve
 
 Floats = NDArray[np.float32]
 

@@ -13,7 +13,11 @@ from pathlib import Path
 from typing import Any
 
 from robir.errors import UsageError
-from robir.evaluation.scores import (
+from robir.jobs.paths import read_json, write_json
+from robir_bench.distribution import estimate, mean
+from robir_bench.population import figure
+from robir_bench.table import Record, Table, split
+from robir_bench.truth.scores import (
     ALBEDO,
     HUE,
     LEVEL,
@@ -27,10 +31,6 @@ from robir.evaluation.scores import (
     SUN,
     Score,
 )
-from robir.jobs.paths import read_json, write_json
-from robir_bench.distribution import estimate, mean
-from robir_bench.population import figure
-from robir_bench.table import Record, Table, split
 
 FORMAT_VERSION = 1
 

@@ -19,7 +19,7 @@ from robir.capture.capture import Capture
 from robir.capture.store import load_settled
 from robir.config import RunConfig
 from robir.evaluation.layers import view_layers
-from robir.evaluation.metrics import linear_from_srgb, srgb_from_linear
+from robir.evaluation.metrics import srgb_from_linear
 from robir.evaluation.photos import mean_scores, photo_scores
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
@@ -28,6 +28,7 @@ from robir.jobs.paths import JobPaths, replacing, write_json
 from robir.transport.baked import RAY_OFFSET
 from robir.transport.observe import observe
 from robir.transport.surfels import interpolate
+from robir_bench.truth.metrics import linear_from_srgb
 
 Floats = NDArray[np.floating[Any]]
 

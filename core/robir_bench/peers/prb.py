@@ -28,7 +28,6 @@ from robir.capture.capture import Capture
 from robir.capture.store import load_settled
 from robir.errors import DeviceError, RobirError
 from robir.evaluation.photos import mean_scores, photo_scores
-from robir.evaluation.truth import load_truth
 from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.mesh.unwrap import rasterise_atlas
 from robir.jobs.paths import JobPaths, read_json, replacing, write_json
@@ -39,6 +38,7 @@ from robir.pipeline.device import peak_memory_bytes
 from robir_bench.peers import prb_scene
 from robir_bench.peers.prb_fit import WITH_SUN, Observed, PrbConfig, PrbFit
 from robir_bench.stability.perturb import curve_of
+from robir_bench.truth.files import load_truth
 
 Floats = NDArray[np.floating[Any]]
 

@@ -34,12 +34,12 @@ import numpy as np
 from PIL import Image
 
 from robir.errors import CaptureError, ConfigError
-from robir.evaluation.light_scores import true_curve
 from robir.jobs.paths import read_json, replacing, write_json
 from robir.maths import tone
 from robir.maths.tone_curve import DISPLAY_POWER
 from robir_bench.stability import spoil
 from robir_bench.stability.spoil import Photographs
+from robir_bench.truth.light import true_curve
 
 Value = float | str
 

@@ -16,7 +16,7 @@ from PIL import Image
 from scipy.ndimage import grey_dilation, grey_erosion
 from scipy.spatial.transform import Rotation
 
-from robir.evaluation.truth import read_exr
+from robir.evaluation.light import read_exr
 from robir.maths import tone
 from robir.maths.vectors import farthest_points
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from robir import __version__
 from robir.capture.capture import Capture
-from robir.evaluation.light_scores import RecoveredLight
+from robir.evaluation.light import RecoveredLight
 from robir.evaluation.photos import Exposures, mean_scores, photo_scores, read_picture
 from robir.export.exchange import light_told
 from robir.export.textures import UNCERTAINTY_AT_255, Part

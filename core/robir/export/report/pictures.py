@@ -23,7 +23,7 @@ from robir.capture.arrays import PICTURES, stored_arrays
 from robir.capture.camera import Camera
 from robir.capture.capture import View
 from robir.evaluation.layers import Layers
-from robir.evaluation.light_scores import RecoveredLight
+from robir.evaluation.light import RecoveredLight
 from robir.evaluation.photos import (
     BACKGROUND,
     cut,

@@ -1,21 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reads the ground truth beside a capture; `blender_scenes/format.py` documents the files.
-
-Environment maps from anybody are looked at here, too: Blender dies of a damaged one without a
-sentence, takes any size, and renders light that is none.
-"""
+"""Reads the ground truth beside a capture; `blender_scenes/format.py` documents the files."""
 
 from __future__ import annotations
 
-import math
-import re
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import OpenEXR
 import trimesh
 from numpy.typing import NDArray
 from PIL import Image
@@ -23,7 +16,8 @@ from scipy.ndimage import map_coordinates
 
 from robir.capture.camera import Camera
 from robir.capture.images.decode import MAX_FILE_BYTES
-from robir.errors import CaptureError, UsageError
+from robir.errors import CaptureError
+from robir.evaluation.light import read_exr
 from robir.jobs.names import regular
 from robir.jobs.records import MATRIX, NUMBERS, read_record
 from robir.maths.tone_curve import DISPLAY_POWER
@@ -51,7 +45,6 @@ _CAMERAS = {
 }  # fmt: skip
 
 PHOTOGRAPHED = "cameras.json"  # the photographs' true cameras, in a frame of their own
-_MAX_NUMBERS = 400_000_000  # of an EXR over all channels; a sky of 8192 columns has a quarter of it
 # what reading a damaged truth raises
 _DAMAGE = (OSError, ValueError, LookupError, RuntimeError, TypeError, AttributeError, EOFError)
 
@@ -188,22 +181,6 @@ def _view(capture: Path, name: str, camera: Camera, photograph: Path) -> TrueVie
     return TrueView(name=name, camera=camera, photo_display=photo, **known)
 
 
-class TooLargeError(ValueError):
-    """A picture has more numbers than are read."""
-
-
-def read_exr(path: Path, most: int = _MAX_NUMBERS) -> dict[str, Array]:
-    """All channels of an EXR by name, (H, W) float32; `TooLargeError` above `most` numbers."""
-    with regular(path, MAX_FILE_BYTES), OpenEXR.File(str(path), header_only=True) as opened:
-        header = opened.header()
-        low, high = header["dataWindow"]
-        sides = [int(last) - int(first) + 1 for first, last in zip(low, high, strict=True)]
-        if math.prod(sides) * len(header["channels"]) > most:
-            raise TooLargeError(f"it has {sides[0]} by {sides[1]} pixels")
-    with OpenEXR.File(str(path), separate_channels=True) as opened:
-        return {name: np.asarray(c.pixels, np.float32) for name, c in opened.channels().items()}
-
-
 def _triple(image: dict[str, Array], name: str, axes: str) -> Array:
     return np.stack([image[f"{name}.{axis}"] for axis in axes], axis=-1)
 
@@ -253,49 +230,3 @@ def lamps_of(scene: dict[str, Any]) -> list[tuple[list[float], list[float]]]:
         return [(lamp["direction"], lamp["irradiance_rgb"]) for lamp in scene["lamps"]]
     is_lamp = scene["sun_is_lamp"]
     return [(scene["sun_direction"], scene["sun_irradiance_rgb"])] if is_lamp else []
-
-
-MOST_TEXELS = 8192 * 4096  # Blender takes sixteen bytes for each, twice while it reads them
-_MOST_RADIANCE = 1e12  # W/(m2 sr), above any light; sums of larger ones are no numbers
-_HDR_HEAD_BYTES = 1 << 16
-_HDR_SIZE = re.compile(rb"\n[-+][XY] (\d{1,9}) [-+][XY] (\d{1,9})\n")
-
-
-def refuse_light(path: Path) -> None:
-    """Refuse an .exr or .hdr that is damaged, too large or no light, by a `UsageError`."""
-    suffix = path.suffix.lower()
-    try:
-        fault = {".exr": _exr_fault, ".hdr": _hdr_fault}.get(suffix, lambda _: "")(path)
-    except TooLargeError as error:
-        fault = f"{error}, and up to 8192 by 4096 are taken"
-    except Exception as error:  # a foreign parser on foreign bytes may raise anything
-        reason = error.strerror if isinstance(error, OSError) else "it is cut off or damaged"
-        fault = f"it cannot be read ({reason})"
-    if fault:
-        raise UsageError(f"{path} is no light: {fault}; give another map with --environment")
-
-
-def _exr_fault(path: Path) -> str:
-    image = read_exr(path, 4 * MOST_TEXELS)
-    colours = {name for name in image if name.rpartition(".")[2].upper() in tuple("RGBY")}
-    if not colours:
-        return f"it has no colours, only {', '.join(sorted(image))[:80]}"
-    for name in colours:
-        if not np.isfinite(image[name]).all():
-            return f"its channel {name} holds numbers that are not finite"
-        if image[name].min() < 0 or image[name].max() > _MOST_RADIANCE:
-            low, high = image[name].min(), image[name].max()
-            return f"its channel {name} goes from {low:g} to {high:g}"
-    return ""
-
-
-def _hdr_fault(path: Path) -> str:
-    with regular(path, MAX_FILE_BYTES) as file:
-        head = file.read(_HDR_HEAD_BYTES)
-    size = _HDR_SIZE.search(head)
-    if not head.startswith(b"#?") or size is None:
-        return "its header is none of a Radiance picture"
-    first, second = int(size[1]), int(size[2])
-    if not 0 < first * second <= MOST_TEXELS:
-        return f"it has {first} by {second} texels, and up to 8192 by 4096 are taken"
-    return ""

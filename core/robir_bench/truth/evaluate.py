@@ -19,9 +19,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from robir.capture.arrays import PICTURES, stored_arrays
+from robir.capture.store import load_settled
 from robir.errors import StorageError
-from robir.evaluation import metrics, surfaces
-from robir.evaluation.aligned import truth_of
 from robir.evaluation.layers import (
     TONE_CURVE,
     Layers,
@@ -30,12 +30,25 @@ from robir.evaluation.layers import (
     stored_mesh,
     view_layers,
 )
-from robir.evaluation.light_scores import light_scores, load_light, tone_scores
-from robir.evaluation.photos import read_picture, save_sheet, truth_sheet
-from robir.evaluation.truth import TrueView, Truth, read_exr
+from robir.evaluation.light import load_light, read_exr
+from robir.evaluation.metrics import masked_ssim, srgb_from_linear
+from robir.evaluation.photos import (
+    BACKGROUND,
+    display_codes,
+    layer_pictures,
+    read_picture,
+    save_sheet,
+)
+from robir.evaluation.surfaces import intersection_over_union
 from robir.geometry.mesh.triangles import Mesh, vertex_normals
 from robir.jobs.paths import JobPaths
 from robir.maths import tone
+from robir_bench.truth import metrics, surfaces
+from robir_bench.truth.aligned import truth_of
+from robir_bench.truth.files import TrueView, Truth
+from robir_bench.truth.light import light_scores, tone_scores
+
+Picture = NDArray[np.uint8]
 
 Array = NDArray[np.floating[Any]]
 
@@ -100,8 +113,8 @@ def image_scores(layers: tuple[Layers, ...], truth: Truth) -> dict[str, Any]:
     ssim = []
     for ours, view, mask in zip(layers, truth.views, both, strict=True):
         if mask.any():
-            encoded = metrics.srgb_from_linear(ours.albedo_linear * scale)
-            ssim.append(metrics.masked_ssim(encoded, metrics.srgb_from_linear(view.albedo), mask))
+            encoded = srgb_from_linear(ours.albedo_linear * scale)
+            ssim.append(masked_ssim(encoded, srgb_from_linear(view.albedo), mask))
     regions = [
         metrics.shadow_regions(view.sun_visibility, view.normal, mask, truth.sun_direction)
         for view, mask in zip(truth.views, both, strict=True)
@@ -153,7 +166,7 @@ def geometry_scores(layers: tuple[Layers, ...], mesh: Mesh, truth: Truth) -> dic
             _pooled([_unit(view) for view in views], masks),
             ours_hit[true_hit],
         ),
-        "mask_iou": surfaces.intersection_over_union(ours_hit, true_hit),
+        "mask_iou": intersection_over_union(ours_hit, true_hit),
         "chamfer": surfaces.chamfer(
             _thinned(_pooled([o.position for o in layers], [o.hit for o in layers])),
             _thinned(_pooled([view.position for view in views], masks)),
@@ -226,3 +239,51 @@ def _radiance(
     true = np.stack([planes[f"radiance.{axis}"] for axis in "RGB"], axis=-1)
     both = view.hit & (planes["mask"] > _WHOLE_SHARE) & (codes[..., 3] >= WHOLE)
     return (ours[both], true[both]) if both.any() else None
+
+
+_MAX_ROWS = 4
+
+
+def truth_sheet(
+    paths: JobPaths, layers: tuple[Layers, ...], truth: Truth, albedo_scale: Array
+) -> list[dict[str, Picture]]:
+    """Up to four rows: photograph, re-render, and materials and normals, beside their truth."""
+    rerenders = _rerenders(paths)
+    rows = []
+    count = min(_MAX_ROWS, len(truth.views))
+    for index in np.linspace(0, len(truth.views) - 1, count).round().astype(int):
+        view, ours = truth.views[index], layers[index]
+        pictures = layer_pictures(ours, albedo_scale)
+        blank = np.full((*view.hit.shape, 3), BACKGROUND, np.uint8)
+        again = rerenders.get(_pose_key(view.camera.camera_to_world), blank)
+        true_albedo = srgb_from_linear(view.albedo)
+        rows.append(
+            {
+                "photo": display_codes(view.photo_display, view.hit),
+                "re-render": again,
+                "albedo (scaled)": pictures["albedo"],
+                "true albedo": display_codes(true_albedo, view.hit),
+                "roughness": pictures["roughness"],
+                "true roughness": display_codes(view.roughness, view.hit),
+                "normals": pictures["normals"],
+                "true normals": display_codes(0.5 + 0.5 * view.normal, view.hit),
+            }
+        )
+    return rows
+
+
+def _rerenders(paths: JobPaths) -> dict[tuple[float, ...], Picture]:
+    """Our own re-renders of held-out views by camera pose."""
+    held_out = paths.stage("appearance") / "held_out.npz"
+    capture = load_settled(paths)
+    arrays = stored_arrays(held_out, PICTURES)
+    found = {
+        _pose_key(view.camera.camera_to_world): arrays[view.name]
+        for view in capture.held_out
+        if view.name in arrays
+    }
+    return {key: picture[..., :3] for key, picture in found.items()}
+
+
+def _pose_key(camera_to_world: NDArray[np.float64]) -> tuple[float, ...]:
+    return tuple(np.round(camera_to_world[:3, 3], 4).tolist())

@@ -23,9 +23,9 @@ from robir.capture.camera import Camera
 from robir.capture.capture import View
 from robir.capture.store import load_settled
 from robir.errors import CaptureError
-from robir.evaluation.truth import TrueView, Truth, load_truth, true_environment
 from robir.jobs.paths import JobPaths
 from robir.maths.similarity import Similarity, turn_in_words
+from robir_bench.truth.files import TrueView, Truth, load_truth, true_environment
 
 Array = NDArray[np.floating[Any]]
 

@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reads the recovered light, and scores it and the recovered tone curve."""
+"""Scores of the recovered light and tone curve."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,83 +11,15 @@ import torch
 from numpy.typing import NDArray
 from skimage.transform import resize_local_mean
 
-from robir.errors import StorageError
-from robir.evaluation import metrics
-from robir.evaluation.layers import stored_facts
-from robir.jobs.records import NUMBERS
-from robir.maths import spherical_gaussian as sg
+from robir.evaluation.light import LUMINANCE, RecoveredLight
 from robir.maths import tone
 from robir.maths.tone_curve import DISPLAY_POWER
 from robir.maths.vectors import equirect_directions, equirect_solid_angles
+from robir_bench.truth import metrics
 
 Array = NDArray[np.floating[Any]]
-
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 _SCORE_ROWS = 64
-_CHUNK_ROWS = 64
 _MAX_NORMALS = 500
-_LIGHT = {"lobes": [{"axis": NUMBERS, "sharpness": float, "amplitude": NUMBERS, "kind": str}]}
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RecoveredLight:
-    """The lobes of light.json."""
-
-    lobes: sg.SphericalGaussians  # world-space mixture; amplitude is radiance, linear Rec.709
-    is_sharp: NDArray[np.bool_]  # (K,) bool, suns and lamps as opposed to sky
-
-    def power(self) -> Array:
-        """Luminance of each lobe integrated over the sphere, (K,)."""
-        return sg.integral(self.lobes).numpy() @ _LUMINANCE
-
-    def strongest_direction(self) -> Array | None:
-        """Axis (3,) of the sharp lobe of the greatest power, or None without sharp lobes."""
-        if not self.is_sharp.any():
-            return None
-        strongest = int(np.argmax(np.where(self.is_sharp, self.power(), -np.inf)))
-        return self.lobes.axis[strongest].numpy()
-
-    def environment(self, rows: int) -> NDArray[np.float32]:
-        """Lat-long image (rows, 2 rows, 3) in Blender's world frame, linear Rec.709 radiance.
-
-        Lobes wider than four texels are evaluated at the texels' centres (energy to 1 in 1000);
-        narrower ones are integrated over the texels, which keeps all of their energy.
-        """
-        wide = self.lobes.sharpness < (rows / (4 * np.pi)) ** 2
-        image = np.empty((rows, 2 * rows, 3), np.float32)
-        directions = equirect_directions(rows)
-        for start in range(0, rows, _CHUNK_ROWS):
-            part = slice(start, start + _CHUNK_ROWS)
-            image[part] = sg.evaluate(self.chosen(wide), directions[part]).numpy()
-        if not bool(wide.all()):
-            image += sg.to_equirect(self.chosen(~wide), rows).numpy()
-        return image
-
-    def chosen(self, which: torch.Tensor) -> sg.SphericalGaussians:
-        """Some of the lobes."""
-        axis, sharpness, amplitude = self.lobes.axis, self.lobes.sharpness, self.lobes.amplitude
-        parts = {"axis": axis[which], "sharpness": sharpness[which], "amplitude": amplitude[which]}
-        return sg.SphericalGaussians(**parts)
-
-
-def load_light(path: Path) -> RecoveredLight:
-    """Read a light.json, or a `StorageError`."""
-    table = stored_facts(path, _LIGHT)["lobes"]
-    if any(len(lobe["axis"]) != 3 or len(lobe["amplitude"]) != 3 for lobe in table):
-        fault = "an axis or amplitude has not three numbers"
-        raise StorageError(f"{path} is damaged ({fault}); reconstruct with --resume")
-
-    def column(name: str) -> torch.Tensor:
-        return torch.tensor([lobe[name] for lobe in table], dtype=torch.float32)
-
-    return RecoveredLight(
-        lobes=sg.SphericalGaussians(
-            axis=column("axis").reshape(-1, 3),
-            sharpness=column("sharpness"),
-            amplitude=column("amplitude").reshape(-1, 3),
-        ),
-        is_sharp=np.array([lobe["kind"] == "sharp" for lobe in table], bool),
-    )
 
 
 def light_scores(
@@ -126,7 +56,7 @@ def level_and_hue(estimate_linear: Array, truth_linear: Array, normals: Array) -
     """
     ours, true = (_mean_irradiance(image, normals) for image in (estimate_linear, truth_linear))
     return {
-        "level_log_error": float(np.log((ours @ _LUMINANCE) / (true @ _LUMINANCE))),
+        "level_log_error": float(np.log((ours @ LUMINANCE) / (true @ LUMINANCE))),
         "hue_log_error": float(np.std(np.log(ours / true))),
     }
 
@@ -142,8 +72,6 @@ def _mean_irradiance(image: Array, normals: Array) -> Array:
 
 
 CODES = np.linspace(0.05, 0.95, 91)  # display codes at which curves are compared
-
-
 _MEASURED = {"EMoR mean": "camera"}  # names in scene.json that Blender has not, and ours
 
 
