@@ -21,7 +21,7 @@ from robir.errors import UsageError
 from robir.geometry import stage as geometry
 from robir.steps import Step
 from robir_bench.chart import SVG_STYLE, svg, tidy
-from robir_bench.distribution import Estimate, estimate, mean
+from robir_bench.distribution import PopulationFigure, estimate, mean
 from robir_bench.plan import OURS, BenchRun
 from robir_bench.population import figure, groups
 from robir_bench.table import Record, Table, split
@@ -57,7 +57,7 @@ Classes = Mapping[str, Mapping[str, str]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Trial:
+class LeftOutStep:
     """A step that can be left out.
 
     Attributes:
@@ -74,18 +74,18 @@ class Trial:
         return f"without {self.stage} {self.step.name}"
 
 
-def trials() -> list[Trial]:
+def trials() -> list[LeftOutStep]:
     """All steps on trial, stage by stage."""
     lists = {"geometry": geometry.STEPS, "appearance": appearance.STEPS}
     return [
-        Trial(stage=stage, step=step)
+        LeftOutStep(stage=stage, step=step)
         for stage, steps in lists.items()
         for step in steps
         if step.is_on_trial
     ]
 
 
-def chosen_trials(names: Sequence[str]) -> list[Trial]:
+def chosen_trials(names: Sequence[str]) -> list[LeftOutStep]:
     """The steps of these names, STAGE.STEP, stage by stage; all on trial where none is named.
 
     Raises:
@@ -99,7 +99,7 @@ def chosen_trials(names: Sequence[str]) -> list[Trial]:
     return [trial for name, trial in known.items() if name in names or not names]
 
 
-def ablated(runs: Sequence[BenchRun], chosen: Sequence[Trial]) -> list[BenchRun]:
+def ablated(runs: Sequence[BenchRun], chosen: Sequence[LeftOutStep]) -> list[BenchRun]:
     """After each run the same without each of some steps, not relit."""
     return [
         one
@@ -130,16 +130,16 @@ class Worth:
         classes: Of the captures.
     """
 
-    trial: Trial
+    trial: LeftOutStep
     pairs: Sequence[tuple[Record, Record]]
     classes: Classes
 
-    def gain(self, score: Score) -> Estimate | None:
+    def gain(self, score: Score) -> PopulationFigure | None:
         """Mean over captures of how much better a figure is with the step, in its unit."""
         return estimate(gains(score, self.pairs, self.classes), mean)
 
     @property
-    def seconds(self) -> Estimate | None:
+    def seconds(self) -> PopulationFigure | None:
         """Mean CPU seconds that it takes, where it changes nothing as well."""
         stage, name = self.trial.stage, self.trial.step.name
         spent = (one.get("step_seconds", {}).get(stage, {}).get(name) for one, _ in self.pairs)
@@ -269,5 +269,5 @@ def gains(score: Score, pairs: Sequence[tuple[Record, Record]], classes: Classes
     return found
 
 
-def _text(score: Score, found: Estimate | None) -> str:
+def _text(score: Score, found: PopulationFigure | None) -> str:
     return "-" if found is None else found.text(max(score.digits, 1) + (score is not SECONDS))

@@ -18,7 +18,7 @@ CONFIDENCE = 0.9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Estimate:
+class PopulationFigure:
     """A figure of a population, estimated from some captures of it.
 
     Attributes:
@@ -51,7 +51,7 @@ def mean(samples: Floats) -> Floats:
     return samples.mean(axis=-1)
 
 
-def estimate(values: Sequence[float], statistic: Statistic) -> Estimate | None:
+def estimate(values: Sequence[float], statistic: Statistic) -> PopulationFigure | None:
     """A statistic of a sample with its percentile bootstrap interval (Efron 1979).
 
     Captures are drawn with replacement, as many as there are, RESAMPLES times; between the
@@ -70,8 +70,8 @@ def estimate(values: Sequence[float], statistic: Statistic) -> Estimate | None:
         return None
     found = float(statistic(sample))
     if len(sample) == 1:
-        return Estimate(value=found, low=None, high=None, count=1)
+        return PopulationFigure(value=found, low=None, high=None, count=1)
     drawn = np.random.default_rng(0).integers(len(sample), size=(RESAMPLES, len(sample)))
     tail = 0.5 * (1.0 - CONFIDENCE)
     low, high = np.quantile(statistic(sample[drawn]), (tail, 1.0 - tail))
-    return Estimate(value=found, low=float(low), high=float(high), count=len(sample))
+    return PopulationFigure(value=found, low=float(low), high=float(high), count=len(sample))

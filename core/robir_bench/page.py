@@ -40,7 +40,7 @@ from robir_bench.truth.scores import ALBEDO
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Row:
+class PictureRow:
     """Pictures side by side.
 
     Attributes:
@@ -83,7 +83,7 @@ class Page:
 
     title: str
     lead: str
-    rows: Sequence[Row]
+    rows: Sequence[PictureRow]
     charts: Sequence[Chart]
     tables: Sequence[Table]
 
@@ -231,7 +231,7 @@ def _write(folder: Path, markdown: str, page: Page) -> Path:
     return folder / "index.html"
 
 
-def _method_rows(folder: Path, runs: Sequence[BenchRun]) -> list[Row]:
+def _method_rows(folder: Path, runs: Sequence[BenchRun]) -> list[PictureRow]:
     """Photograph, truth and each method's albedo, a row each capture, preset and seed."""
     rows = []
     for key in dict.fromkeys((run.capture, run.preset, run.seed) for run in runs):
@@ -239,23 +239,23 @@ def _method_rows(folder: Path, runs: Sequence[BenchRun]) -> list[Row]:
         first = picture_file(members[0], folder)
         tiles = [(name, _inline(first, name)) for name in ("photograph", "true albedo")]
         tiles += [(run.method, _inline(picture_file(run, folder), "albedo")) for run in members]
-        rows.append(Row(title=f"{key[0].name}, {key[1]}, seed {key[2]}", tiles=tiles))
+        rows.append(PictureRow(title=f"{key[0].name}, {key[1]}, seed {key[2]}", tiles=tiles))
     return rows
 
 
-def _photographed_row(folder: Path, run: BenchRun, record: Record) -> Row:
+def _photographed_row(folder: Path, run: BenchRun, record: Record) -> PictureRow:
     """A result beside a held-out photograph, where most is lost, and what the program said."""
     file = picture_file(run, folder)
     trust = record["trust"] or {"doubts": []}
     doubts = [f"Not to be trusted: {doubt}." for doubt in trust["doubts"]]
-    return Row(
+    return PictureRow(
         title=f"{run.capture.name}, {run.preset}, {run.method}, seed {run.seed}",
         tiles=[(name, _inline(file, name, PHOTOGRAPHED_TILES)) for name in PHOTOGRAPHED_TILES],
         notes=[*level_notes(record["scores"]["levels"]), *doubts],
     )
 
 
-def _case_row(folder: Path, case: Case, runs: Sequence[BenchRun]) -> Row:
+def _case_row(folder: Path, case: Case, runs: Sequence[BenchRun]) -> PictureRow:
     """The worst case of a factor: what was given, what came out, what was said."""
     spoilt = next(run for run in runs if run.name == case.record["name"])
     tiles = []
@@ -266,7 +266,7 @@ def _case_row(folder: Path, case: Case, runs: Sequence[BenchRun]) -> Row:
     if case.base is not None:
         base = next(run for run in runs if run.name == case.base["name"])
         tiles.append(("albedo unperturbed", _inline(picture_file(base, folder), "albedo")))
-    return Row(
+    return PictureRow(
         title=f"{case.record['factor']} {case.record['value']}: {case.record['capture']}, "
         f"{case.record['method']}, {_lost(case)}",
         tiles=tiles,

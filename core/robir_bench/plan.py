@@ -58,7 +58,7 @@ published ones (see published.py), which share the capture alone."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Plan:
+class BenchPlan:
     """A bench as written by the user.
 
     Attributes:
@@ -227,7 +227,7 @@ def _joined(settings: tuple[str, ...]) -> tuple[str, ...]:
 def _runs(path: Path, table: dict[str, Any]) -> Iterator[BenchRun]:
     if not table.get("captures"):
         raise ConfigError(f"{path}: captures is missing; list the folders of captures")
-    plan = settings_from_table(Plan, table, str(path))
+    plan = settings_from_table(BenchPlan, table, str(path))
     captures = [(path.parent / capture).resolve() for capture in plan.captures]
     names = [capture.name for capture in captures]
     twins = sorted({name for name in names if names.count(name) > 1})

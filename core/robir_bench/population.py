@@ -14,8 +14,8 @@ from typing import Any
 
 from robir.errors import ConfigError
 from robir.jobs.paths import read_json
-from robir_bench.distribution import CONFIDENCE, Estimate, estimate, mean, quantile
-from robir_bench.plan import OURS, BenchRun, Plan
+from robir_bench.distribution import CONFIDENCE, PopulationFigure, estimate, mean, quantile
+from robir_bench.plan import OURS, BenchPlan, BenchRun
 from robir_bench.table import Record, Table, failures, split, value
 from robir_bench.truth.files import has_truth
 from robir_bench.truth.scores import (
@@ -60,8 +60,8 @@ class Spread:
         worst_tenth: What one in ten is worse than.
     """
 
-    median: Estimate | None
-    worst_tenth: Estimate | None
+    median: PopulationFigure | None
+    worst_tenth: PopulationFigure | None
 
 
 def read_population(folder: Path) -> list[BenchRun]:
@@ -76,7 +76,7 @@ def read_population(folder: Path) -> list[BenchRun]:
             f"{folder} holds no captures with truth; make some with: python -m blender_scenes "
             f"population {folder} --count 12 --seed 0"
         )
-    plan = Plan(captures=tuple(str(capture) for capture in captures))
+    plan = BenchPlan(captures=tuple(str(capture) for capture in captures))
     return [
         BenchRun(
             capture=capture,
@@ -129,7 +129,7 @@ def spread(score: Score, members: Sequence[Record], classes: Mapping[str, Any]) 
     )
 
 
-def below_photo(members: Sequence[Record]) -> Estimate | None:
+def below_photo(members: Sequence[Record]) -> PopulationFigure | None:
     """Share of runs whose albedo is worse than the photograph's; a run without a result is."""
     gains = [None if "error" in record else value(ABOVE_PHOTO, record) for record in members]
     return estimate([float(gain is None or gain < 0.0) for gain in gains], mean)
@@ -187,7 +187,7 @@ def distribution(
     }
 
 
-def _plain(found: Estimate | None) -> dict[str, Any] | None:
+def _plain(found: PopulationFigure | None) -> dict[str, Any] | None:
     return None if found is None else asdict(found)
 
 
@@ -241,5 +241,5 @@ def _heading(score: Score) -> str:
     return f"{score.title}, off 1" if score.best == "one" else score.title
 
 
-def _text(score: Score, found: Estimate | None) -> str:
+def _text(score: Score, found: PopulationFigure | None) -> str:
     return "-" if found is None else found.text(score.digits)

@@ -9,14 +9,16 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from robir.batch.farm import Job, Place, Step
+from robir.batch.farm import FarmJob, FarmStep, Place
 from robir.batch.local import memory_needed
 from robir.batch.plan import Entry, Plan
 from robir_bench.plan import BenchRun
 from robir_bench.runs import Scores, waits_for
 
 
-def bench_job(runs: Sequence[BenchRun], out: Path, source: Path, options: Namespace) -> Job | None:
+def bench_job(
+    runs: Sequence[BenchRun], out: Path, source: Path, options: Namespace
+) -> FarmJob | None:
     """The runs that are not done yet, and the page after all; None where nothing is missing.
 
     Args:
@@ -34,9 +36,9 @@ def bench_job(runs: Sequence[BenchRun], out: Path, source: Path, options: Namesp
     root = Path(os.path.commonpath(folders))
     where = "/".join(("{{Param.Source}}", *source.relative_to(root).parts))
     words = tuple(words_of(options, where, "{{Param.Out}}"))
-    steps: list[Step] = []
+    steps: list[FarmStep] = []
     for number, wave in enumerate(_waves(runs, missing), 1):
-        step = Step(
+        step = FarmStep(
             name=f"Runs{number}",
             words=words,
             tasks=tuple(wave),
@@ -44,8 +46,8 @@ def bench_job(runs: Sequence[BenchRun], out: Path, source: Path, options: Namesp
             memory=max(_need(runs[task], out) for task in wave),
         )
         steps.append(step)
-    steps.append(Step(name="Page", words=(*words, "--budget", "0"), after=steps[-1].name))
-    return Job(
+    steps.append(FarmStep(name="Page", words=(*words, "--budget", "0"), after=steps[-1].name))
+    return FarmJob(
         name=f"RobIR {options.command.__name__} {out.name}",
         places={
             "Out": Place(path=out, flow="INOUT", about="Runs, scores and their page"),

@@ -18,7 +18,7 @@ from robir.capture.capture import Bounds, Capture, View
 from robir.capture.store import save_capture
 from robir.evaluation.layers import Layers, view_layers
 from robir.evaluation.metrics import srgb_from_linear
-from robir.export.textures import Part, Textures
+from robir.export.textures import TexturedPart, Textures
 from robir.geometry.mesh.triangles import Mesh
 from robir.jobs.paths import STAGES, JobPaths, write_json
 
@@ -111,9 +111,9 @@ def world_mesh() -> Mesh:
     )
 
 
-def parts(textures: Textures) -> list[Part]:
+def parts(textures: Textures) -> list[TexturedPart]:
     """The sphere as a glTF file has it."""
-    return [Part(tile=None, mesh=world_mesh(), textures=textures)]
+    return [TexturedPart(tile=None, mesh=world_mesh(), textures=textures)]
 
 
 def photograph(layers) -> np.ndarray:

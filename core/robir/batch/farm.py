@@ -37,7 +37,7 @@ class Place:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Step:
+class FarmStep:
     """One command, for several numbers or once."""
 
     name: str  # of the step, letters only
@@ -51,15 +51,15 @@ class Step:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Job:
+class FarmJob:
     """What a farm is to do."""
 
     name: str  # for people
     places: Mapping[str, Place]  # by name
-    steps: Sequence[Step]  # each after those that it waits for
+    steps: Sequence[FarmStep]  # each after those that it waits for
 
 
-def write_openjd(job: Job, folder: Path) -> Path:
+def write_openjd(job: FarmJob, folder: Path) -> Path:
     """Write a job bundle; its places are parameters, which start from its folder."""
     values = [
         {"name": name, "value": Path(os.path.relpath(place.path, folder.absolute())).as_posix()}
@@ -84,7 +84,7 @@ def write_openjd(job: Job, folder: Path) -> Path:
     return folder
 
 
-def _step(step: Step) -> dict[str, Any]:
+def _step(step: FarmStep) -> dict[str, Any]:
     number = ("--task", "{{Task.Param.Number}}") if step.tasks else ()
     cancel = {"mode": "NOTIFY_THEN_TERMINATE", "notifyPeriodInSeconds": 30}
     args = ["-P", "-m", "robir", *step.words, *number]
@@ -104,7 +104,7 @@ def _step(step: Step) -> dict[str, Any]:
     return table | {"script": {"actions": {"onRun": action}}}
 
 
-def submit_to_slurm(job: Job, logs: Path) -> list[str]:
+def submit_to_slurm(job: FarmJob, logs: Path) -> list[str]:
     """Queue each step as an array of jobs, or as one; their numbers. `logs` gets what they print.
 
     Partition, account, time limit and the like are taken from sbatch's own variables, such as
@@ -176,14 +176,14 @@ _PARTS = {"Read": ("capture", "capture"), "Fit": (FIT, FIT), "Finish": ("transpo
 
 def library_job(
     paths: LibraryPaths, captures: Path, tasks: Sequence[int], memory: int, queue: str | None
-) -> Job:
+) -> FarmJob:
     """The captures to do, by number, and the page after all; the fit alone in a `queue`, if one."""
     root = paths.root.absolute()
     common = ("batch", "--resume", "-o", "{{Param.Library}}", "--captures", "{{Param.Captures}}")
-    steps: list[Step] = []
+    steps: list[FarmStep] = []
     for name, (first, last) in (_WHOLE if queue is None else _PARTS).items():
         is_fit = queue is not None and first == FIT
-        step = Step(
+        step = FarmStep(
             name=name,
             words=common if queue is None else (*common, "--stages", f"{first}-{last}"),
             tasks=tuple(tasks),
@@ -194,8 +194,8 @@ def library_job(
             queue=queue or "" if is_fit else "",
         )
         steps.append(step)
-    steps.append(Step(name="Page", words=(*common, "--page"), after=steps[-1].name))
-    return Job(
+    steps.append(FarmStep(name="Page", words=(*common, "--page"), after=steps[-1].name))
+    return FarmJob(
         name=f"RobIR {root.name}",
         places={
             "Library": Place(root, "INOUT", "Results, assets and the contact sheet"),

@@ -28,7 +28,7 @@ _ORDER = ("failed", "doubtful", "running", "waiting", "dropped", "done")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Row:
+class SheetRow:
     """What the sheet says of one capture."""
 
     name: str  # of its result folder
@@ -42,22 +42,24 @@ class Row:
     files: Mapping[str, str] = field(default_factory=dict)  # format and file, likewise
 
 
-def row_of(entry: Entry, standing: Standing, paths: LibraryPaths, formats: Sequence[Format]) -> Row:
+def row_of(
+    entry: Entry, standing: Standing, paths: LibraryPaths, formats: Sequence[Format]
+) -> SheetRow:
     """The row of a capture as its result folder has it now."""
     job = paths.result(entry.name)
     files = {"glb": job.asset, "usd": job.usd, "blend": job.library_asset}
     if standing.state != "done":
         sentences = (standing.message,) if standing.message else ()
-        return Row(name=entry.name, state=standing.state, sentences=sentences, tags=entry.tags)
+        return SheetRow(name=entry.name, state=standing.state, sentences=sentences, tags=entry.tags)
     try:
         report = read_record(job.report_json, _REPORT)
     except (OSError, ValueError) as error:
         sentence = f"its report cannot be read ({error}); reconstruct it again"
-        return Row(name=entry.name, state="failed", sentences=(sentence,), tags=entry.tags)
+        return SheetRow(name=entry.name, state="failed", sentences=(sentence,), tags=entry.tags)
     trust = report["trust"]
     verdict = trust.get("verdict")  # results of older versions have none
     told = (f"{verdict['reason']}; {verdict['remedy']}",) if verdict and verdict["reason"] else ()
-    return Row(
+    return SheetRow(
         name=entry.name,
         state="done" if trust["is_trusted"] else "doubtful",
         word=verdict["word"] if verdict else "",
@@ -75,7 +77,7 @@ def row_of(entry: Entry, standing: Standing, paths: LibraryPaths, formats: Seque
     )
 
 
-def write_page(rows: Sequence[Row], paths: LibraryPaths) -> None:
+def write_page(rows: Sequence[SheetRow], paths: LibraryPaths) -> None:
     """Write index.html; it needs no network and no script but its own."""
     counts = {state: sum(row.state == state for row in rows) for state in _ORDER}
     text = page_template("robir.batch", "library.html").render(

@@ -24,7 +24,7 @@ from robir.batch.local import (
     of_snapshot,
     write_standings,
 )
-from robir.batch.page import Row, row_of, write_facts, write_page
+from robir.batch.page import SheetRow, row_of, write_facts, write_page
 from robir.batch.plan import Plan, keep_plan, kept_plan, parse_size, read_plan
 from robir.display import display_for
 from robir.errors import CaptureError, QualityError, StorageError, UsageError
@@ -205,7 +205,7 @@ class _Book:
 
     def __init__(self, plan: Plan, items: Sequence[Item], paths: LibraryPaths) -> None:
         self._plan, self._items, self._paths = plan, items, paths
-        self._rows: dict[str, tuple[Standing, Row]] = {}
+        self._rows: dict[str, tuple[Standing, SheetRow]] = {}
         self._state_at = self._page_at = 0.0
 
     def note(self, seconds_left: float | None) -> None:

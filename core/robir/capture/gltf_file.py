@@ -37,7 +37,7 @@ Document = dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Part:
+class MeshPart:
     """Triangles of one material."""
 
     vertices: NDArray[np.float64]  # (N, 3) float64
@@ -49,7 +49,7 @@ class Part:
 
 def read_parts(
     document: dict[str, Any], binary: bytes, files: Mapping[str, bytes]
-) -> list[tuple[NDArray[np.float64], Part]]:
+) -> list[tuple[NDArray[np.float64], MeshPart]]:
     """All triangles that the scene shows, each part with its (4, 4) place, by files by name."""
     reader = _Reader(document, binary, files)
     shown = list(_shown(document))
@@ -64,7 +64,7 @@ def read_parts(
             f"it shows {faces // 3} faces with {corners} corners; up to {MOST_FACES} faces and "
             f"{MOST_CORNERS} corners are read"
         )
-    known: dict[int, list[Part]] = {}
+    known: dict[int, list[MeshPart]] = {}
     found = []
     for number, matrix in shown:
         if number not in known:
@@ -138,7 +138,7 @@ class _Reader:
             raise MeshFaultError(f"accessor {accessor} has {table['count']} entries")
         return table["count"]
 
-    def part(self, primitive: dict[str, Any], who: str) -> Part | None:
+    def part(self, primitive: dict[str, Any], who: str) -> MeshPart | None:
         """Triangles of a primitive; None for lines, points and what has no places."""
         attributes, mode = primitive["attributes"], primitive.get("mode", _TRIANGLES)
         if mode not in (_TRIANGLES, _STRIP, _FAN) or "POSITION" not in attributes:
@@ -158,7 +158,7 @@ class _Reader:
         if "NORMAL" in attributes:
             normals = self._array(attributes["NORMAL"], "VEC3", f"the normals of {who}")
         uvs = self._uvs(attributes, material, who)
-        return Part(vertices=vertices, faces=faces, uvs=uvs, normals=normals, material=material)
+        return MeshPart(vertices=vertices, faces=faces, uvs=uvs, normals=normals, material=material)
 
     def _faces(
         self, primitive: dict[str, Any], mode: int, count: int, who: str

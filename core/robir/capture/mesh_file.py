@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from robir.capture.gltf_file import (
     MOST_CORNERS,
     MOST_FACES,
-    Part,
+    MeshPart,
     normal_images,
     normal_maps,
     read_parts,
@@ -126,7 +126,7 @@ def _unreadable(path: Path, fault: Exception) -> CaptureError:
     return CaptureError(f"the mesh {path} cannot be read: {reason}; check the file")
 
 
-def _pieces(content: bytes, suffix: str) -> list[tuple[NDArray[np.float64], Part]]:
+def _pieces(content: bytes, suffix: str) -> list[tuple[NDArray[np.float64], MeshPart]]:
     """Triangles of the kinds of files that trimesh reads, with nothing but them in these."""
     import trimesh  # here, because few runs are given a mesh and it takes a second to load
 
@@ -157,7 +157,7 @@ def _pieces(content: bytes, suffix: str) -> list[tuple[NDArray[np.float64], Part
         raise MeshFaultError(f"it is cut off or no {suffix[1:].upper()} file") from fault
 
 
-def _part_of(piece: Any) -> Part:
+def _part_of(piece: Any) -> MeshPart:
     vertices = np.asarray(piece.vertices, np.float64)
     faces = np.asarray(piece.faces, np.int64)
     if len(faces) > MOST_FACES or len(vertices) > 3 * MOST_CORNERS:
@@ -166,7 +166,9 @@ def _part_of(piece: Any) -> Part:
         raise MeshFaultError("a face has a corner that is not there")
     uv = getattr(piece.visual, "uv", None)
     fits = uv is not None and np.shape(uv) == (len(vertices), 2)
-    return Part(vertices=vertices, faces=faces, uvs=np.asarray(uv, np.float64) if fits else None)
+    return MeshPart(
+        vertices=vertices, faces=faces, uvs=np.asarray(uv, np.float64) if fits else None
+    )
 
 
 def _way_by_blender(path: Path) -> str:
@@ -189,7 +191,7 @@ def _z_up(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _merged(
-    pieces: list[tuple[NDArray[np.float64], Part]],
+    pieces: list[tuple[NDArray[np.float64], MeshPart]],
     maps: _Maps,
     corners_of: dict[int, tuple[int, int]],
 ) -> Given:
@@ -222,7 +224,7 @@ def _merged(
     )
 
 
-def _turned_normals(piece: Part, matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+def _turned_normals(piece: MeshPart, matrix: NDArray[np.float64]) -> NDArray[np.float64]:
     """Unit normals of a piece at its place; where the file has none, the mean of its faces'."""
     normals = piece.normals
     if normals is None:
@@ -237,7 +239,7 @@ def _turned_normals(piece: Part, matrix: NDArray[np.float64]) -> NDArray[np.floa
 
 
 def _named_tiles(
-    document: dict[str, Any], pieces: list[tuple[NDArray[np.float64], Part]]
+    document: dict[str, Any], pieces: list[tuple[NDArray[np.float64], MeshPart]]
 ) -> dict[int, tuple[int, int]]:
     """Where the UDIM tile of each material of a glTF begins, by its name; empty unless all are."""
     names = document.get("materials", ())

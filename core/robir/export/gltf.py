@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from robir import __version__
 from robir.evaluation.layers import load_textures, stored_mesh
 from robir.evaluation.metrics import srgb_from_linear
-from robir.export.textures import Codes, Part, Textures, codes, encoded
+from robir.export.textures import Codes, TexturedPart, Textures, codes, encoded
 from robir.geometry.mesh.triangles import Mesh
 from robir.jobs.paths import UDIM, JobPaths, of_tile, replacing
 
@@ -66,7 +66,7 @@ class _Buffer:
         return len(self.accessors) - 1
 
 
-def write_glb(path: Path, parts: Iterable[Part], name: str) -> None:
+def write_glb(path: Path, parts: Iterable[TexturedPart], name: str) -> None:
     """Write what `glb_bytes` gives to a file, atomically."""
     content = glb_bytes(parts, name)
     with replacing(path) as temporary:
@@ -74,7 +74,7 @@ def write_glb(path: Path, parts: Iterable[Part], name: str) -> None:
 
 
 def glb_bytes(
-    parts: Iterable[Part],
+    parts: Iterable[TexturedPart],
     name: str,
     encode: Callable[[Codes], tuple[bytes, str]] = lambda image: (
         encoded(image, format="PNG"),
@@ -143,7 +143,7 @@ def _pictures(textures: Textures) -> dict[str, Codes]:
     return shown if textures.normal_map is None else shown | {"normal": textures.normal_map}
 
 
-def _material(part: Part, name: str, first: int) -> dict[str, Any]:
+def _material(part: TexturedPart, name: str, first: int) -> dict[str, Any]:
     """The material of a part whose pictures come from some index on."""
     textures, surface = part.textures, {"index": first + 1}
     maps = {"baseColorTexture": {"index": first}, "metallicRoughnessTexture": surface}

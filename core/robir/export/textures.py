@@ -148,7 +148,7 @@ def write_exr(path: Path, image_linear: NDArray[Any]) -> None:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Part:
+class TexturedPart:
     """Faces with a texture of their own."""
 
     tile: int | None  # number of their tile; None where there are no tiles
@@ -186,11 +186,11 @@ def write_tiles(textures: Sequence[Textures], tiles: NDArray[np.int32], folder: 
             of_tile(folder / name, number).unlink(missing_ok=True)
 
 
-def parts_of(mesh: Mesh, textures: Sequence[Textures]) -> Iterator[Part]:
+def parts_of(mesh: Mesh, textures: Sequence[Textures]) -> Iterator[TexturedPart]:
     """The mesh tile by tile, those without faces left out."""
     count = len(mesh.tiles)
     if not count:
-        yield Part(tile=None, mesh=mesh, textures=textures[0])
+        yield TexturedPart(tile=None, mesh=mesh, textures=textures[0])
         return
     tile = tile_of_faces(mesh.uvs, mesh.uv_faces, count)
     for index, number in enumerate(mesh.tiles.tolist()):
@@ -206,7 +206,7 @@ def parts_of(mesh: Mesh, textures: Sequence[Textures]) -> Iterator[Part]:
             uv_faces=uv_faces.reshape(-1, 3).astype(np.int32),
             tiles=mesh.tiles[:0],
         )
-        yield Part(tile=number, mesh=own, textures=textures[index])
+        yield TexturedPart(tile=number, mesh=own, textures=textures[index])
 
 
 def shown_texture(paths: JobPaths, name: str) -> NDArray[np.uint8] | None:

@@ -29,7 +29,7 @@ from robir_bench.paper.shading import (
     visibility_ratio,
 )
 from robir_bench.paper.tone import AbstractTone
-from robir_bench.paper.transport import Hits, TransportNetworks
+from robir_bench.paper.transport import SeenPoints, TransportNetworks
 
 _CHUNK = 256
 
@@ -50,7 +50,7 @@ class Sky:
         return cls(directions=fibonacci_sphere(count))
 
     @torch.no_grad()
-    def visibility(self, network: VisibilityNetwork, hits: Hits) -> Tensor:
+    def visibility(self, network: VisibilityNetwork, hits: SeenPoints) -> Tensor:
         """Visibility (P, D), float16, of points; 0 below their horizon, as RobIR has it.
 
         Lobes across the horizon are thereby cut twice, here and by the cosine.
@@ -89,7 +89,7 @@ class Model:
 
 
 @torch.no_grad()
-def render_display(model: Model, networks: TransportNetworks, sky: Sky, hits: Hits) -> Tensor:
+def render_display(model: Model, networks: TransportNetworks, sky: Sky, hits: SeenPoints) -> Tensor:
     """Display codes (P, 3) in [0, 1] of points seen by cameras."""
     codes = []
     for start in range(0, len(hits.points), _CHUNK):
@@ -107,7 +107,7 @@ def render_display(model: Model, networks: TransportNetworks, sky: Sky, hits: Hi
 def render(
     model: Model,
     indirect: IndirectNetwork,
-    hits: Hits,
+    hits: SeenPoints,
     material: tuple[Tensor, Tensor],
     ratio: Tensor,
 ) -> Tensor:
@@ -134,7 +134,7 @@ def render(
 
 
 def _transfers(
-    lobes: SphericalGaussians, ratio: Tensor, hits: Hits, roughness: Tensor, f0: Tensor
+    lobes: SphericalGaussians, ratio: Tensor, hits: SeenPoints, roughness: Tensor, f0: Tensor
 ) -> tuple[Tensor, Tensor]:
     frame = (hits.normals, hits.to_camera)
     diffuse = diffuse_transfer(lobes.axis, lobes.sharpness, hits.normals)
@@ -148,7 +148,7 @@ class Fitter:
     def __init__(
         self,
         networks: TransportNetworks,
-        pool: Hits,
+        pool: SeenPoints,
         config: PaperConfig,
         generator: torch.Generator,
     ) -> None:
@@ -218,7 +218,9 @@ class Fitter:
             _take(adam, loss)
         return model
 
-    def _losses(self, model: Model, hits: Hits, ratio: Tensor, weights: LossWeights) -> Tensor:
+    def _losses(
+        self, model: Model, hits: SeenPoints, ratio: Tensor, weights: LossWeights
+    ) -> Tensor:
         code = model.material.code(hits.points)
         indirect = self._networks.indirect
         radiance = render(model, indirect, hits, model.material.decode(code), ratio)
@@ -236,7 +238,7 @@ class Fitter:
     def _adam(self, networks: list[nn.Parameter]) -> torch.optim.Adam:
         return torch.optim.Adam(networks, lr=self._config.learning_rate)
 
-    def _draw(self, count: int) -> tuple[Hits, Tensor]:
+    def _draw(self, count: int) -> tuple[SeenPoints, Tensor]:
         """Random pixels of the pool and their visibility (P, D)."""
         pool = self._pool
         index = torch.randint(len(pool.points), (count,), generator=self._generator)

@@ -20,7 +20,7 @@ from robir.evaluation.photos import mean_scores, photo_scores
 from robir.jobs.paths import JobPaths, read_json, write_json
 from robir.pipeline.device import Usage, peak_memory_bytes
 from robir_bench.paper.config import VARIANTS, PaperConfig
-from robir_bench.paper.stages import Job, run_appearance, run_geometry, run_transport
+from robir_bench.paper.stages import PaperRun, run_appearance, run_geometry, run_transport
 
 
 def reconstruct_published(
@@ -40,7 +40,7 @@ def reconstruct_published(
         Scores of the re-rendered held-out views, as `mean_scores` gives them.
     """
     capture = load_capture(paths.stage("capture")).normalised()
-    job = Job(
+    job = PaperRun(
         paths=paths,
         capture=capture,
         config=schedule,

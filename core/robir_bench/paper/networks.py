@@ -115,7 +115,7 @@ def _start(layer: nn.Linear, num_raw: int | None) -> None:
         nn.init.zeros_(layer.weight[:, num_raw:])
 
 
-class ColourNetwork(nn.Module):
+class RadianceNetwork(nn.Module):
     """Display codes that leave a point towards a camera."""
 
     def __init__(self, depth: int, width: int, feature: int) -> None:

@@ -22,7 +22,7 @@ from robir.errors import QualityError
 from robir.geometry.rays import reduce_view
 from robir.maths import volume
 from robir_bench.paper.config import NeusConfig
-from robir_bench.paper.networks import ColourNetwork, SdfNetwork
+from robir_bench.paper.networks import RadianceNetwork, SdfNetwork
 
 SPHERE = 1.05
 """Radius within which the scene lies; rays are sampled inside it."""
@@ -35,7 +35,7 @@ _LEAST_WEIGHT = 1e-3
 _FREE_POINTS = 256
 
 
-class Pixels:
+class PhotoRays:
     """All pixels of the training photographs as rays with codes.
 
     Attributes:
@@ -88,7 +88,7 @@ class Neus:
     """
 
     sdf: SdfNetwork
-    colour: ColourNetwork
+    colour: RadianceNetwork
     log_steepness: nn.Parameter
 
     @classmethod
@@ -96,7 +96,7 @@ class Neus:
         """A sphere of unknown colour."""
         return cls(
             sdf=SdfNetwork(config.depth, config.width, config.octaves),
-            colour=ColourNetwork(config.colour_depth, config.colour_width, config.width),
+            colour=RadianceNetwork(config.colour_depth, config.colour_width, config.width),
             log_steepness=nn.Parameter(torch.tensor(0.3)),
         )
 
@@ -114,7 +114,7 @@ class Neus:
         return self.colour(points, rays, gradient, feature).detach()
 
 
-def fit_neus(pixels: Pixels, config: NeusConfig, generator: torch.Generator) -> Neus:
+def fit_neus(pixels: PhotoRays, config: NeusConfig, generator: torch.Generator) -> Neus:
     """Fit a field to the photographs.
 
     Args:
@@ -149,7 +149,7 @@ def fit_neus(pixels: Pixels, config: NeusConfig, generator: torch.Generator) -> 
 
 
 def _loss(
-    field: Neus, pixels: Pixels, chosen: Tensor, config: NeusConfig, generator: torch.Generator
+    field: Neus, pixels: PhotoRays, chosen: Tensor, config: NeusConfig, generator: torch.Generator
 ) -> Tensor:
     origins, directions = pixels.rays(chosen)
     codes, coverage = pixels.targets(chosen)

@@ -31,7 +31,7 @@ from robir.transport.observe import observe
 from robir.transport.surfels import interpolate
 from robir_bench.paper.appearance import Fitter, Model, render_display
 from robir_bench.paper.config import PaperConfig, Variant
-from robir_bench.paper.neus import Neus, Pixels, fit_neus
+from robir_bench.paper.neus import Neus, PhotoRays, fit_neus
 from robir_bench.paper.tone import make_tone
 from robir_bench.paper.tracer import FieldTracer, on_lattice
 from robir_bench.paper.transport import (
@@ -54,7 +54,7 @@ _RAY_OFFSET = 0.004
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Job:
+class PaperRun:
     """What every stage is given.
 
     Attributes:
@@ -76,12 +76,12 @@ class Job:
         torch.manual_seed(self.seed)
         return torch.Generator().manual_seed(self.seed)
 
-    def pixels(self) -> Pixels:
+    def pixels(self) -> PhotoRays:
         """Of the training photographs."""
-        return Pixels(self.capture.train, self.config.neus.image_side)
+        return PhotoRays(self.capture.train, self.config.neus.image_side)
 
 
-def run_geometry(job: Job, config: GeometryConfig) -> None:
+def run_geometry(job: PaperRun, config: GeometryConfig) -> None:
     """Fit the field; write it and its mesh.
 
     Args:
@@ -99,7 +99,7 @@ def run_geometry(job: Job, config: GeometryConfig) -> None:
     _save_networks(folder / _NETWORKS, field.modules())
 
 
-def run_transport(job: Job) -> None:
+def run_transport(job: PaperRun) -> None:
     """Learn normals, visibility and indirect light from the field; write the networks."""
     generator = job.begin()
     networks = TransportNetworks.start(job.config)
@@ -110,7 +110,7 @@ def run_transport(job: Job) -> None:
     _save_networks(_folder(job, "transport") / _NETWORKS, networks.modules())
 
 
-def run_appearance(job: Job, texture_size: int) -> None:
+def run_appearance(job: PaperRun, texture_size: int) -> None:
     """Learn light, tone curve and material; write textures, light, curve and held-out views.
 
     Args:
@@ -141,7 +141,9 @@ def run_appearance(job: Job, texture_size: int) -> None:
 
 
 @torch.no_grad()
-def _textures(job: Job, model: Model, tracer: FieldTracer, size: int) -> dict[str, NDArray[Any]]:
+def _textures(
+    job: PaperRun, model: Model, tracer: FieldTracer, size: int
+) -> dict[str, NDArray[Any]]:
     """Material of every texel of the atlas."""
     mesh = _mesh(job)
     face, barycentric = rasterise_atlas(mesh, size)
@@ -162,7 +164,7 @@ def _textures(job: Job, model: Model, tracer: FieldTracer, size: int) -> dict[st
     return arrays
 
 
-def _views_of_vertices(job: Job, mesh: Mesh) -> NDArray[np.int64]:
+def _views_of_vertices(job: PaperRun, mesh: Mesh) -> NDArray[np.int64]:
     """How many photographs show each vertex of the mesh, (Nv,)."""
     tracer = EmbreeTracer(mesh.vertices, mesh.faces)
     seen = observe(tracer, mesh.vertices, mesh.normals, job.capture.train, _RAY_OFFSET)
@@ -170,7 +172,7 @@ def _views_of_vertices(job: Job, mesh: Mesh) -> NDArray[np.int64]:
 
 
 def _held_out(
-    job: Job, model: Model, networks: TransportNetworks, fitter: Fitter, tracer: FieldTracer
+    job: PaperRun, model: Model, networks: TransportNetworks, fitter: Fitter, tracer: FieldTracer
 ) -> dict[str, NDArray[np.uint8]]:
     """Held-out views at a small size, RGBA codes by name."""
     images: dict[str, NDArray[np.uint8]] = {}
@@ -209,17 +211,17 @@ def _write_light(path: Path, model: Model) -> None:
     write_json(path, {"lobes": listed, "unit": unit})
 
 
-def _folder(job: Job, stage: str) -> Path:
+def _folder(job: PaperRun, stage: str) -> Path:
     folder = job.paths.stage(stage)
     folder.mkdir(parents=True, exist_ok=True)
     return folder
 
 
-def _mesh(job: Job) -> Mesh:
+def _mesh(job: PaperRun) -> Mesh:
     return Mesh.load(job.paths.stage("geometry") / "mesh.npz")
 
 
-def _field(job: Job) -> tuple[Neus, FieldTracer]:
+def _field(job: PaperRun) -> tuple[Neus, FieldTracer]:
     """The fitted field, frozen, and its tracer."""
     field = Neus.start(job.config.neus)
     _load_networks(job.paths.stage("geometry") / _NETWORKS, field.modules())

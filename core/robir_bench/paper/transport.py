@@ -19,7 +19,7 @@ from robir.maths.vectors import dot, normalise
 from robir.transport.surfels import interpolate
 from robir_bench.paper.config import PaperConfig
 from robir_bench.paper.networks import IndirectNetwork, NormalNetwork, VisibilityNetwork
-from robir_bench.paper.neus import Neus, Pixels
+from robir_bench.paper.neus import Neus, PhotoRays
 from robir_bench.paper.tone import AbstractTone, gamma_of
 from robir_bench.paper.tracer import FieldTracer
 
@@ -82,7 +82,7 @@ def fit_normals(network: NormalNetwork, mesh: Mesh, config: PaperConfig, seed: i
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Hits:
+class SeenPoints:
     """Surface points that pixels show.
 
     Attributes:
@@ -97,9 +97,9 @@ class Hits:
     to_camera: Tensor
     display: Tensor
 
-    def rows(self, index: Tensor | slice) -> Hits:
+    def rows(self, index: Tensor | slice) -> SeenPoints:
         """Some of the points."""
-        return Hits(
+        return SeenPoints(
             points=self.points[index],
             normals=self.normals[index],
             to_camera=self.to_camera[index],
@@ -110,7 +110,7 @@ class Hits:
 @torch.no_grad()
 def surface_hits(
     rays: tuple[Tensor, Tensor], display: Tensor, tracer: FieldTracer, normals: NormalNetwork
-) -> tuple[Hits, Tensor]:
+) -> tuple[SeenPoints, Tensor]:
     """Where rays of pixels meet the field.
 
     Args:
@@ -126,7 +126,7 @@ def surface_hits(
     distance = tracer.first_hits(origins, directions)
     met = torch.isfinite(distance)
     points = origins[met] + distance[met, None] * directions[met]
-    hits = Hits(
+    hits = SeenPoints(
         points=points,
         normals=normals(points),
         to_camera=-directions[met],
@@ -136,12 +136,12 @@ def surface_hits(
 
 
 def random_hits(
-    pixels: Pixels,
+    pixels: PhotoRays,
     count: int,
     tracer: FieldTracer,
     normals: NormalNetwork,
     generator: torch.Generator,
-) -> Hits:
+) -> SeenPoints:
     """Points of random pixels inside the masks; those that miss the field are left out."""
     drawn = torch.randint(len(pixels.inside), (count,), generator=generator)
     chosen = pixels.inside[drawn]
@@ -150,7 +150,7 @@ def random_hits(
 
 def fit_visibility(
     networks: TransportNetworks,
-    scene: tuple[Neus, FieldTracer, Pixels],
+    scene: tuple[Neus, FieldTracer, PhotoRays],
     tone: AbstractTone,
     config: PaperConfig,
     generator: torch.Generator,
@@ -196,7 +196,7 @@ def fit_visibility(
 
 
 def secondary_distances(
-    tracer: FieldTracer, hits: Hits, directions: Tensor, offset: float
+    tracer: FieldTracer, hits: SeenPoints, directions: Tensor, offset: float
 ) -> Tensor:
     """Distance (P, D) from just above each point to the next surface along (P, D, 3), or inf."""
     starts = (hits.points + offset * hits.normals)[:, None].expand_as(directions)

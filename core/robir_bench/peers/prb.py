@@ -50,7 +50,7 @@ _HELD_OUT_SAMPLES = 256
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Told:
+class Known:
     """What the fit need not find out.
 
     Attributes:
@@ -134,13 +134,13 @@ def fit_and_write(paths: JobPaths, seed: int, truth: Path | None, config: PrbCon
     write_json(paths.manifest("appearance"), {"stage": "appearance", **about})
 
 
-def _told(truth: Path | None, rows: int) -> Told:
+def _told(truth: Path | None, rows: int) -> Known:
     if truth is None:
-        return Told(curve=curve_from_name("standard"), sun=None)
+        return Known(curve=curve_from_name("standard"), sun=None)
     known = load_truth(truth)
     irradiance = np.array(known.scene["sun_irradiance_rgb"])
     sun = prb_scene.sun_texels(known.sun_direction, irradiance, rows)
-    return Told(curve=curve_of(known.scene), sun=sun)
+    return Known(curve=curve_of(known.scene), sun=sun)
 
 
 def observed_pixels(capture: Capture, fit: PrbFit) -> Observed:
@@ -156,7 +156,7 @@ def observed_pixels(capture: Capture, fit: PrbFit) -> Observed:
 
 
 @torch.no_grad()
-def start_level(fit: PrbFit, observed: Observed, told: Told) -> None:
+def start_level(fit: PrbFit, observed: Observed, told: Known) -> None:
     """Make the first render as bright as the photographs: by the light, or by the albedo.
 
     A given sun fixes the level of the light; then the albedo takes what remains.

@@ -24,7 +24,7 @@ from robir.capture.camera import Camera
 from robir.geometry.mesh.triangles import Mesh
 from robir.maths.tone_curve import AbstractToneCurve
 from robir_bench.peers import prb_scene
-from robir_bench.peers.prb_scene import Pixels
+from robir_bench.peers.prb_scene import ImagePoints
 
 _STRAY = 0.1
 _ALBEDO_RANGE = (0.005, 0.98)
@@ -88,7 +88,7 @@ class Observed:
         display: (N, 3) their values, display codes 0..1.
     """
 
-    pixels: Pixels
+    pixels: ImagePoints
     display: Tensor
 
 
@@ -180,7 +180,7 @@ class PrbFit:
             log_radiance=torch.zeros(rows, 2 * rows, 3, requires_grad=True),
         )
 
-    def render(self, pixels: Pixels, seed: int, samples: int) -> Tensor:
+    def render(self, pixels: ImagePoints, seed: int, samples: int) -> Tensor:
         """Linear Rec.709 (N, 3) of any number of pixels."""
         with torch.no_grad():
             self._put()
@@ -197,7 +197,7 @@ class PrbFit:
             pieces.append(image.torch().reshape(-1, 3).clone())
         return torch.cat(pieces)[: len(pixels)]
 
-    def hits(self, pixels: Pixels) -> NDArray[np.bool_]:
+    def hits(self, pixels: ImagePoints) -> NDArray[np.bool_]:
         """Which pixels show the surface at their centre."""
         pieces = []
         for piece in _filled(pixels, self.config.batch):
@@ -303,7 +303,7 @@ class PrbFit:
         )
 
 
-def _filled(pixels: Pixels, size: int) -> Iterator[Pixels]:
+def _filled(pixels: ImagePoints, size: int) -> Iterator[ImagePoints]:
     """The pixels in pieces of exactly one size; the last is filled up with the first pixels."""
     for start in range(0, len(pixels), size):
         yield pixels.chosen(np.arange(start, start + size) % len(pixels))

@@ -78,7 +78,7 @@ def load_drjit() -> Any:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Pixels:
+class ImagePoints:
     """Image points of some cameras.
 
     Attributes:
@@ -95,21 +95,21 @@ class Pixels:
         """Number of pixels."""
         return len(self.view)
 
-    def chosen(self, which: NDArray[Any]) -> Pixels:
+    def chosen(self, which: NDArray[Any]) -> ImagePoints:
         """Some of the pixels, by index or mask."""
-        return Pixels(view=self.view[which], column=self.column[which], row=self.row[which])
+        return ImagePoints(view=self.view[which], column=self.column[which], row=self.row[which])
 
-    def of_view(self, index: int) -> Pixels:
+    def of_view(self, index: int) -> ImagePoints:
         """The same image points of another camera."""
-        return Pixels(view=np.full_like(self.view, index), column=self.column, row=self.row)
+        return ImagePoints(view=np.full_like(self.view, index), column=self.column, row=self.row)
 
 
-def all_pixels(cameras: Sequence[Camera]) -> Pixels:
+def all_pixels(cameras: Sequence[Camera]) -> ImagePoints:
     """Every pixel of every camera, row by row."""
     grids = [np.mgrid[: camera.height, : camera.width].reshape(2, -1) for camera in cameras]
     view = np.repeat(np.arange(len(cameras)), [grid.shape[1] for grid in grids])
     row, column = np.concatenate(grids, axis=1)
-    return Pixels(view=view, column=column, row=row)
+    return ImagePoints(view=view, column=column, row=row)
 
 
 def pixel_sensor(mi: Any, cameras: Sequence[Camera], size: int) -> Any:
@@ -133,7 +133,7 @@ def pixel_sensor(mi: Any, cameras: Sequence[Camera], size: int) -> Any:
             )
             self.look_at(all_pixels(cameras).chosen(np.zeros(size, int)))
 
-        def look_at(self, pixels: Pixels) -> None:
+        def look_at(self, pixels: ImagePoints) -> None:
             """Put these pixels on the film, exactly as many as it has."""
             self.view = mi.UInt32(pixels.view.astype(np.uint32))
             self.column = mi.Float(pixels.column.astype(np.float32))

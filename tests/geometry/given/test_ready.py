@@ -14,7 +14,7 @@ from geometry.scenes import ball, capture_of
 from robir.capture.mesh_file import Detail, Given
 from robir.capture.store import save_capture
 from robir.export.gltf import write_glb
-from robir.export.textures import Part, finished_textures, stored_normal_map
+from robir.export.textures import TexturedPart, finished_textures, stored_normal_map
 from robir.geometry.config import GeometryConfig
 from robir.geometry.given.ready import made_ready
 from robir.geometry.mesh.isosurface import plain_mesh
@@ -88,7 +88,9 @@ def test_the_stage_keeps_the_map_for_the_asset(tmp_path):
     mesh = plain_mesh(given().vertices, given().faces)
     mesh = replace(mesh, uvs=given().uvs.astype(np.float32), uv_faces=mesh.faces)
     textures = replace(finished_textures(sphere_textures(), 12), normal_map=BUMPS)
-    write_glb(tmp_path / "scan.glb", [Part(tile=None, mesh=mesh, textures=textures)], "scan")
+    write_glb(
+        tmp_path / "scan.glb", [TexturedPart(tile=None, mesh=mesh, textures=textures)], "scan"
+    )
     context = StageContext(
         paths=paths, config=GeometryConfig(), source=tmp_path, masks=None, seed=0, device="cpu",
         reporter=Quiet(), mesh=tmp_path / "scan.glb",

@@ -16,7 +16,7 @@ from robir.capture.capture import Capture
 from robir.evaluation.light import RecoveredLight
 from robir.evaluation.photos import Exposures, mean_scores, photo_scores, read_picture
 from robir.export.exchange import light_told
-from robir.export.textures import UNCERTAINTY_AT_255, Part
+from robir.export.textures import UNCERTAINTY_AT_255, TexturedPart
 from robir.export.trust import paint, quality, rivals, shown
 from robir.geometry.mesh.triangles import Mesh
 from robir.jobs.paths import JobPaths, read_json
@@ -42,7 +42,7 @@ class Products:
 
     capture: Capture  # the photographs, those under another light left out
     mesh: Mesh  # the surface, capture frame
-    parts: tuple[Part, ...]  # the asset as its GLB file has it
+    parts: tuple[TexturedPart, ...]  # the asset as its GLB file has it
     arrays: dict[str, Array]  # textures as the appearance stage left them
     light: RecoveredLight  # recovered light
     tone_curve: dict[str, Any]  # contents of export/tone_curve.json

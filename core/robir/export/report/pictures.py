@@ -35,7 +35,7 @@ from robir.evaluation.photos import (
 )
 from robir.export.gltf import glb_bytes
 from robir.export.report.numbers import Rendering
-from robir.export.textures import Codes, Part, encoded
+from robir.export.textures import Codes, TexturedPart, encoded
 from robir.geometry.mesh.triangles import Mesh
 from robir.jobs.paths import JobPaths, replacing
 from robir.maths.vectors import equirect_directions
@@ -197,7 +197,7 @@ _LIGHTS = (
 )  # fmt: skip
 
 
-def embedded_asset(parts: Iterable[Part]) -> str:
+def embedded_asset(parts: Iterable[TexturedPart]) -> str:
     """The asset as a data address, its textures as JPEG and no larger than a page shows."""
     return data_address("model/gltf-binary", glb_bytes(parts, "asset", _jpeg))
 
