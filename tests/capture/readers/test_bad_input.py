@@ -11,30 +11,10 @@ import pytest
 from capture import writers
 from PIL import Image
 
-from robir.capture.checks.findings import check_frames
 from robir.capture.config import CaptureConfig
 from robir.capture.recognise import check_capture, read_capture, read_frames
 from robir.capture.views import without_left_out
 from robir.errors import CaptureError
-
-
-def refusals_of_damage(path: Path, root: Path) -> int:
-    """How many of 60 random damages to a file of poses are refused; none ends otherwise."""
-    whole = path.read_bytes()
-    generator = np.random.default_rng(5)
-    refusals = 0
-    for _ in range(60):
-        damaged = bytearray(whole)
-        for _ in range(int(generator.integers(1, 6))):
-            damaged[int(generator.integers(len(damaged)))] = int(generator.integers(256))
-        if generator.random() < 0.3:
-            damaged = damaged[: int(generator.integers(len(damaged)))]
-        path.write_bytes(damaged)
-        try:
-            check_frames(read_frames(root))
-        except CaptureError:
-            refusals += 1
-    return refusals
 
 
 def refused(root: Path, *words: str, masks: Path | None = None) -> str:
@@ -358,26 +338,3 @@ def test_every_unreadable_photograph_is_named(synthetic):
     for name in ("r_1.png", "r_6.png"):
         (synthetic / "train" / name).write_bytes(b"nothing")
     refused(synthetic, "r_1.png", "r_6.png")
-
-
-@pytest.mark.parametrize(
-    ("form", "name"),
-    [
-        ("colmap", "sparse/0/images.bin"),
-        ("colmap", "sparse/0/cameras.bin"),
-        ("colmap", "sparse/0/points3D.bin"),
-        ("neus", "cameras_sphere.npz"),
-        ("llff", "poses_bounds.npy"),
-        ("nerfstudio", "transforms.json"),
-    ],
-)
-def test_random_damage_is_refused_or_harmless(form, name, odd_shots, tmp_path):
-    """Flipped, cut and repeated bytes of a file of poses never end in another exception."""
-    write = {
-        "colmap": lambda: writers.colmap(tmp_path, odd_shots, binary=True),
-        "neus": lambda: writers.neus(tmp_path, odd_shots),
-        "llff": lambda: writers.llff(tmp_path, odd_shots, numeric=False),
-        "nerfstudio": lambda: writers.nerfstudio(tmp_path, odd_shots),
-    }[form]
-    write()
-    assert refusals_of_damage(tmp_path / name, tmp_path) > 0 or "points3D" in name
