@@ -157,10 +157,8 @@ def _radiance(
     seen: list[_ViewPoints],
     values: TexelAlbedo,
 ) -> tuple[Floats, Floats]:
-    """Radiance (N, 3), linear Rec.709, of the points of all views, and of their matt texture alone.
-
-    Views share most of the surface, so what arrives at it, the costly part, is found once.
-    """
+    """Radiance (N, 3), linear Rec.709, of the points of all views, and of their matt texture."""
+    # views share most of the surface, so what arrives at it, the costly part, is found once
     points = Texels(
         position=np.concatenate([one.points.position for one in seen]),
         normal=np.concatenate([one.points.normal for one in seen]),

@@ -108,10 +108,8 @@ def environment_brdf(cosine_view: Tensor, roughness: Tensor) -> tuple[Tensor, Te
 
 @functools.cache
 def _environment_table() -> Tensor:
-    """Scale and bias (roughness, sqrt cosine, 2) by samples of the visible normals.
-
-    Heitz, Sampling the GGX Distribution of Visible Normals, JCGT 7(4), 2018, listing 1.
-    """
+    """Scale and bias (roughness, sqrt cosine, 2) by samples of the visible normals."""
+    # Heitz, Sampling the GGX Distribution of Visible Normals, JCGT 7(4), 2018, listing 1
     stratum = (torch.arange(_TABLE_STRATA, dtype=torch.float64) + 0.5) / _TABLE_STRATA
     u1, u2 = (grid.reshape(-1) for grid in torch.meshgrid(stratum, stratum, indexing="ij"))
     node = torch.linspace(0.0, 1.0, _TABLE_NODES, dtype=torch.float64)

@@ -142,10 +142,7 @@ def to_equirect(lobes: SphericalGaussians, height: int) -> Tensor:
 
 
 def _splatted(axis: Tensor, sharpness: Tensor, height: int, parts: int) -> tuple[slice, Tensor]:
-    """Rows that a lobe reaches in a map, and its integral's share (rows, 2H) in each pixel.
-
-    By so many parts a pixel along either axis; the axis is (3,).
-    """
+    """Rows that a lobe (3,) reaches in a map, and its integral's share (rows, 2H) in each pixel."""
     fine = height * parts
     # beyond this angle the lobe is less than the smallest float32
     reach = math.sqrt(2.0 * _NOTHING / float(sharpness)) + 2.0 * math.pi / fine

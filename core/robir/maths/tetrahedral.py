@@ -41,10 +41,7 @@ class ColourLattice(NamedTuple):
 
 
 class _Cell(NamedTuple):
-    """Where positions lie: corner indices, sorted fractions, and which axis each belongs to.
-
-    Axis masks are (is axis 0, is axis 1) of the first and of the last axis raised.
-    """
+    """Where positions lie: corner indices, sorted fractions, and first and last axis as masks."""
 
     corners: tuple[Tensor, Tensor, Tensor, Tensor]
     fractions: Planes

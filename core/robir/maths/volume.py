@@ -47,10 +47,9 @@ def transmittance(log_step: Tensor, first: Tensor) -> Tensor:
 
 
 class _Weights(torch.autograd.Function):
-    """Transmittance times opacity with the slope in closed form.
+    """Transmittance times opacity with the slope in closed form."""
 
-    Torch's own goes back through a look-up by `first`, whose scatter costs more than all the rest.
-    """
+    # torch's own goes back through a look-up by `first`, whose scatter costs more than all the rest
 
     @staticmethod
     def forward(ctx: Any, log_step: Tensor, first: Tensor) -> Tensor:

@@ -149,10 +149,8 @@ def bake(mesh: Mesh, views: tuple[View, ...], config: TransportConfig, seed: int
 def _seen_surfels(
     tracer: EmbreeTracer, mesh: Mesh, views: tuple[View, ...], config: TransportConfig, seed: int
 ) -> tuple[Surfels, Observations]:
-    """Samples of which about `num_surfels` are seen; of the hidden ones every fourth is kept.
-
-    Hidden samples only carry bounced light, and little of it, so they may be coarse.
-    """
+    """Samples of which about `num_surfels` are seen; of the hidden ones every fourth is kept."""
+    # hidden samples only carry bounced light, and little of it, so they may be coarse
 
     def observed(samples: Surfels) -> Observations:
         return observe(tracer, samples.position, samples.normal, views, RAY_OFFSET)

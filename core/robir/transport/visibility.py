@@ -145,10 +145,8 @@ def _beside_a_wall(
     axis: Floats,
     offset: float,
 ) -> NDArray[np.bool_]:
-    """Whether something lies between where rays start and what is straight above a point, (N,).
-
-    One ray a point, whatever the number of rays to the light: those of a sun start close together.
-    """
+    """Whether something lies between where rays start and what is straight above a point, (N,)."""
+    # one ray a point, whatever the number of rays to the light: those of a sun start close together
     beside = np.zeros(len(position), bool)
     cosine = normal @ axis
     facing = np.flatnonzero(cosine > 0)

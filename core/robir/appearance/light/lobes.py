@@ -120,10 +120,9 @@ class Amplitudes:
 
 
 class _ThinProduct(torch.autograd.Function):
-    """Matrix (U, K) by a few columns (K, C), differentiable in those.
+    """Matrix (U, K) by a few columns (K, C), differentiable in those."""
 
-    A product of few rows takes a quarter of the time of one of few columns.
-    """
+    # a product of few rows takes a quarter of the time of one of few columns
 
     @staticmethod
     def forward(ctx: Any, matrix: Tensor, matrix_rows: Tensor, columns: Tensor) -> Tensor:

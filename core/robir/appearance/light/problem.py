@@ -202,10 +202,7 @@ def with_hidden(scene: Scene, total: Radiance) -> Tensor:
 
 
 def _hidden_albedo(scene: Scene, total: Radiance, median: Tensor) -> Tensor:
-    """Albedo (H, 3) of hidden samples by the brighter seen ones about them.
-
-    `median` (3,) is the radiance of a surface of `MEAN_ALBEDO`.
-    """
+    """Albedo (H, 3) of hidden samples by brighter seen ones; `median` (3,) has `MEAN_ALBEDO`."""
     position, seen = scene.transport.surfels.position, total.seen.numpy()
     count = min(_LOOK_ALIKES, int(seen.sum()))
     tree = cKDTree(position[seen])

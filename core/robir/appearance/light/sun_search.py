@@ -111,10 +111,8 @@ def _promising(candidates: list[SunCandidate], *, is_first: bool) -> list[SunCan
 
 
 def _casts_shadow(problem: Problem, before: Light, after: Light) -> bool:
-    """Whether the photographs show the shadow of the sun that was added last.
-
-    A further lobe lowers the loss wherever the mesh is wrong; its own shadow tells a light.
-    """
+    """Whether the photographs show the shadow of the sun that was added last."""
+    # a further lobe lowers the loss wherever the mesh is wrong; its own shadow tells a light
     (pairs,) = Sunlight.of(problem, after.axes[-1:]).across_shadows()
     if not len(pairs.first):
         return False

@@ -151,10 +151,8 @@ def _on_grid(values: Reals) -> Reals:
 def _costs(
     highlights: Highlights, patch: Rows, known: Rows, count: NDArray[Any], narrow: int
 ) -> tuple[Reals, Reals]:
-    """Codes (R, L) that a near view differs by at every level, and (R,) without any highlight.
-
-    A narrow highlight in the wrong place speaks against the place: it costs no more than none.
-    """
+    """Codes (R, L) that a near view differs by at every level, and (R,) without any highlight."""
+    # a narrow highlight in the wrong place costs no more than none: it speaks against the place
     columns = [*highlights.error.T, highlights.plain]
     sums = np.array([np.bincount(patch, column, len(count))[known] for column in columns])
     *errors, plain = 255 * sums / count[known]
@@ -163,10 +161,8 @@ def _costs(
 
 
 def _peak_ratios(highlights: Highlights, patch: Rows, known: Rows) -> Reals:
-    """Log (R, L + 1) of the brightest near views over the brightest predicted.
-
-    Errors of mesh and albedo brighten views as well; by how much is seen in the other views.
-    """
+    """Log (R, L + 1) of the brightest near views over the brightest predicted."""
+    # errors of mesh and albedo brighten views as well; by how much is seen in the other views
     near, far = patch[highlights.sample], patch[highlights.other]
     result = np.zeros((len(known), len(LEVELS) + 1))
     for row, index in enumerate(known):

@@ -63,10 +63,7 @@ def pieces(position: Array, hue: Array, gap: float, fewest: int) -> Rows:
 
 
 def _two_heaps(hue: Array, fewest: int, clear_gap: float) -> NDArray[np.bool_] | None:
-    """Which of hues (N, 3) lie in the lower of two heaps; None if they lie in one.
-
-    The cut that leaves the least variance (Otsu) along the axis of the greatest.
-    """
+    """Which of hues (N, 3) lie in the lower of two heaps, by Otsu's cut; None if in one."""
     count = len(hue)
     if count < 2 * fewest:
         return None
@@ -306,11 +303,9 @@ def base_colour_posterior(read: Reals, count: NDArray[np.int64]) -> Reals:
 
 
 def _posterior(read: Reals, prior: tuple[Reals, Reals], chance: Reals | float) -> Reals:
-    """Posterior means (P, 3) of brightness and hue read so, of a prior's mean and deviation (3,).
-
-    The error is a mixture, as some readings are wrong altogether (Box and Tiao 1968, "A Bayesian
-    approach to some outlier problems"); `chance` (P, 1) scales it.
-    """
+    """Posterior means (P, 3) of brightness and hue read so, of a prior's mean and deviation."""
+    # the error is a mixture, as some readings are wrong altogether (Box and Tiao 1968, "A Bayesian
+    # approach to some outlier problems"); `chance` (P, 1) scales it
     known, spread = prior
     off = read - known
     weights, means = [], []

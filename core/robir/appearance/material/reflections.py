@@ -124,10 +124,7 @@ def tilts_of() -> tuple[tuple[float, float], ...]:
 
 @lru_cache
 def _hear_of_beta() -> None:
-    """Let torch say once, to nobody, that its sparse tensors are in beta.
-
-    Not where they are used: threads share the filters of warnings.
-    """
+    """Let torch say once, to nobody, that its sparse tensors are in beta; threads share filters."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         torch.zeros(1, 1).to_sparse_csr()
@@ -136,11 +133,9 @@ def _hear_of_beta() -> None:
 def _product_at(
     tables: Sequence[Tensor], kernel: Tensor, place: tuple[NDArray[np.int64], Tensor]
 ) -> list[Tensor]:
-    """Some entries (M,) of the products of tables (U, D) and a symmetric kernel (D, D).
-
-    `place` is row, ascending, and column of each entry. The whole products take six times as long;
-    they are made where more entries are wanted than a sparse tensor holds.
-    """
+    """Some entries (M,), at rising rows, of the products of tables and a symmetric kernel."""
+    # the whole products take six times as long; they are made where more entries are wanted than a
+    # sparse tensor holds
     row, column = place
     if len(row) > len(tables[0]) * len(kernel):
         return [(table @ kernel)[torch.from_numpy(row), column] for table in tables]
@@ -168,10 +163,8 @@ def _product_at(
 def _radiance_of_surfaces(
     problem: Problem, rows: NDArray[np.int64]
 ) -> tuple[tuple[Tensor, ...], Tensor]:
-    """Radiance (U, D) a channel that samples see of each other, and where a surface is seen.
-
-    A mean over all blocked directions would pass for metal where a polished board mirrors a piece.
-    """
+    """Radiance (U, D) a channel that samples see of each other, and where a surface is seen."""
+    # a mean over all blocked directions would pass for metal where a polished board mirrors a piece
     transport = problem.scene.transport
     directions, position = transport.visibility.directions, transport.surfels.position
     met = transport.visibility.bounce[rows].tocoo()

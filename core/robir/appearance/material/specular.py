@@ -118,11 +118,9 @@ def specular_towards(
 
 
 def _costs(looked: tuple[Reflections, ViewRays, ObservedRays, Tensor]) -> tuple[Highlights, Floats]:
-    """Errors of a dielectric near highlights and elsewhere, and their mean (U, L) over all views.
-
-    Only views near a sun's mirror direction speak about roughness; elsewhere a rougher surface
-    merely hides errors of sky and mesh. There the sky is reflected no sharper than `SHARPEST_SKY`.
-    """
+    """Errors of a dielectric near highlights and elsewhere, and their mean (U, L) over views."""
+    # elsewhere a rougher surface merely hides errors of sky and mesh: there the sky is reflected no
+    # sharper than `SHARPEST_SKY`
     reflections, rays, seen, valid = looked
     sample = rays.sample
     near = reflections.near_highlight(rays)

@@ -78,10 +78,7 @@ def _is_unlike(gain: Array, left: Array) -> NDArray[np.bool_]:
 
 
 def _compared(log: Array, points: Array, least: int) -> tuple[Array, Array]:
-    """How much brighter photographs are (V,), and how much their points differ in that (V,).
-
-    Both are 0 of those that show less than `least` points.
-    """
+    """How much brighter photographs are (V,) and how much their points differ in that (V,)."""
     apart = (log - points[:, None]).mean(2)
     apart[:, np.isfinite(apart).sum(0) < least] = 0.0
     gain = np.nanmedian(apart, axis=0)
@@ -277,10 +274,7 @@ def find_falloff(log: Array, normals: Floats, off_axis: NDArray[np.uint8]) -> Fa
 def _kept_errors(
     log: Array, normals: Floats, dimming: Array, is_fitted: NDArray[np.bool_]
 ) -> Array:
-    """Squared display errors (M,) of what held-out views show, predicted by the fitted ones.
-
-    `dimming` (P, V) is log radiance against the middle of a photograph; `is_fitted` (V,).
-    """
+    """Squared display errors (M,) of held-out views by the fitted (V,); `dimming` is log (P, V)."""
     equalised = log - dimming[..., None]
     gains = solve_gains(equalised[:, is_fitted], normals)
     points = np.nanmean(equalised[:, is_fitted] - gains, axis=1)

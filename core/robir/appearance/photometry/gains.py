@@ -40,10 +40,7 @@ def solve_gains(log: Array, normals: Floats) -> Array:
 
 
 def _least_squares(values: Array, weight: Array, prior: float) -> tuple[Array, Array]:
-    """Gains (V, 3) and points (P, 3) whose sums are nearest to the values (P, V, 3).
-
-    Points are eliminated, so that chains of photographs connect. `prior` draws every gain to 0.
-    """
+    """Gains (V, 3) and points (P, 3) whose sums are nearest to the values, points eliminated."""
     mass = weight.sum(1)
     mean = np.einsum("pv,pvc->pc", weight, values) / mass[:, None]
     right = np.einsum("pv,pvc->vc", weight, values - mean[:, None])

@@ -57,11 +57,8 @@ def solve_slopes(log: Array, normals: Floats) -> Array:
 
 
 def _least_squares(values: Array, basis: Array, weight: Array, prior: float) -> tuple[Array, Array]:
-    """Unknowns (V, K) of views and points (P,) whose sums are nearest to the values (P, V).
-
-    Points are eliminated; what is common to all views is pinned to 0, see `solve_views`. A view's
-    unknowns are multiplied with `basis` (P, K); `prior` draws them to 0.
-    """
+    """Unknowns (V, K) of views, times `basis` (P, K), and points (P,), nearest to values (P, V)."""
+    # points are eliminated; what is common to all views is pinned to 0, see `solve_views`
     (count, views), size = weight.shape, basis.shape[1]
     mass = weight.sum(1)
     mean = (weight * values).sum(1) / mass
@@ -117,10 +114,7 @@ def have_own_lights(log: Array, normals: Floats, places: tuple[Floats, Floats]) 
 
 
 def _mirrored(positions: Floats, normals: Floats, cameras: Floats, degree: int) -> Array:
-    """Polynomials (P, V, K) to some degree of the direction that points mirror each camera to.
-
-    On the sphere they span spherical harmonics to that order.
-    """
+    """Polynomials (P, V, K) of where points mirror each camera to: spherical harmonics."""
     towards = cameras[None] - positions[:, None].astype(np.float64)
     towards /= np.linalg.norm(towards, axis=2, keepdims=True)
     facing = np.einsum("pvi,pi->pv", towards, normals)
@@ -130,10 +124,7 @@ def _mirrored(positions: Floats, normals: Floats, cameras: Floats, degree: int) 
 
 
 def _solve_specular(log: Array, normals: Floats, mirrored: Array) -> Array:
-    """Coefficients (K,) of a specular layer under one light, by points and gains in turns.
-
-    Of log radiance (P, V, 3), normals (P, 3), and polynomials `mirrored` (P, V, K).
-    """
+    """Coefficients (K,) of a specular layer under one light, by points and gains in turns."""
     known = np.isfinite(log[..., 0])
     gray = np.nan_to_num(log).mean(2)
     specular, width = np.zeros(mirrored.shape[2]), FIRST_WIDTH

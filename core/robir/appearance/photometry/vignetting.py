@@ -64,10 +64,7 @@ def solve_falloff(log: Array, normals: NDArray[np.float32], off_axis: Codes) -> 
 def _least_squares(
     values: Array, square: Array, weighing: Weighing, prior: float
 ) -> tuple[float, Array, Array]:
-    """Strength, gains (V,) and points (P,) whose sums are nearest to the values (P, V).
-
-    Points are eliminated first, then gains; `prior` is the deviation of the strength beforehand.
-    """
+    """Strength, gains (V,) and points (P,) whose sums are nearest to the values (P, V)."""
     weight = weighing.weight
     mass = weight.sum(1)
     share = weight / mass[:, None]

@@ -85,11 +85,8 @@ def smoothed_albedo(albedo: Floats, unknown: Floats, points: Floats, step: int) 
 
 
 def _drawn_together(own: tuple[Floats, Floats, Floats], about: Floats, known: Floats) -> Floats:
-    """Log albedo (3, M) of nodes, drawn towards those `about` them (3, M, K) that are alike.
-
-    `own` is log albedo (3, M), certainty (M,), and factors (2, M) of squared differences in
-    brightness and hue; `known` (M, K) is the others' certainty, 0 beyond reach.
-    """
+    """Log albedo (3, M) of nodes, drawn towards those `about` them (3, M, K) that are alike."""
+    # factors (2, M) are of squared differences in brightness and hue; `known` (M, K) is certainty
     log, certainty, width = own
     apart = about - log[..., None]
     grey = apart.sum(0) / 3

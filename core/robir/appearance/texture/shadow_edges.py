@@ -149,11 +149,7 @@ def solve_shadow_edges(
 
 
 def _best_match(exitant: Floats, sun: tuple[Reals, Reals, Reals], surroundings: Floats) -> Floats:
-    """Of the albedos that shares of sun would give, the one (M, 3) most like some surroundings'.
-
-    Of pi times diffuse radiance (M, 3); irradiance without the sun and of it whole (M, 3), and its
-    share (M,) by rays; albedos (M, K, 3) about.
-    """
+    """Of albedos that shares of sun would give, the one (M, 3) most like those (M, K, 3) about."""
     rest, full, traced = sun
     # a channel at a time: sums over a last axis of three are ten times slower
     palette = np.log(np.clip(surroundings, 1e-3, None)).astype(np.float32).transpose(2, 0, 1).copy()

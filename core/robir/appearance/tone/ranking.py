@@ -149,11 +149,9 @@ def _camera_holds(
     names: list[str],
     config: AppearanceConfig,
 ) -> bool:
-    """Whether the response of cameras is kept.
-
-    A curve of more contrast starts farther from its light. So where it lags at all, its light and
-    that of the best are settled by further steps first.
-    """
+    """Whether the response of cameras is kept."""
+    # a curve of more contrast starts farther from its light: where it lags at all, its light and
+    # that of the best are settled by further steps first
     camera, best = names.index(CAMERA), _best(tables, names)
     if not np.isfinite(_CAMERA_LAG[config.origin]) or not _lags(tables, camera, best):
         return not camera_lags(tables, names, config.origin)

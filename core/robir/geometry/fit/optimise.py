@@ -130,12 +130,10 @@ def smooth(sdf: Tensor, lattice: Lattice, share: float) -> None:
 
 
 def _loss(predicted: tuple[Tensor, Tensor], target: Tensor) -> Tensor:
-    """Robust colour loss (Charbonnier) plus cross-entropy of the coverage.
-
-    The colour is compared at the photograph's own coverage: a surface that lets a little light
-    through must not be pushed to and fro by the brightness of its colour. Coverage that is full
-    but for the dropped intervals counts as full, or it would inflate the surface for ever.
-    """
+    """Robust colour loss (Charbonnier) plus cross-entropy of the coverage."""
+    # at the photograph's own coverage: a surface that lets a little light through must not be
+    # pushed to and fro by its colour's brightness. What is full but for dropped intervals counts as
+    # full, or it would inflate the surface for ever.
     rgb, coverage = predicted
     wanted = target[:, 3]
     colour = ((rgb * wanted[:, None] - target[:, :3]) ** 2 + 1e-4).sqrt().mean()

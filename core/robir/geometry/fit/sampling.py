@@ -73,11 +73,7 @@ def _first_of_runs(ray: Tensor) -> Tensor:
 def _flat_index(
     begin: Tensor, slope: Tensor, along: Tensor, shape: tuple[int, int, int], shift: float
 ) -> Tensor:
-    """Flat indices (K, B) int32 of the cells that points on rays fall into, or the nearest cells.
-
-    Rays begin at `begin`, (3, B) or (3, B, 1) cells, and go `slope` cells per unit of length;
-    `along` (K, B) or (K,) are distances of K points a ray; `shift` is added before rounding down.
-    """
+    """Flat indices (K, B) int32 of the cells that points `along` rays fall into, or nearest."""
     flat: Tensor | None = None
     for axis in range(3):
         cell = torch.addcmul(begin[axis] + shift, along, slope[axis])
@@ -91,10 +87,7 @@ def _flat_index(
 def _occupied_steps(
     occupancy: Occupancy, inv_std: float, origins: Tensor, directions: Tensor, jitter: Tensor
 ) -> tuple[Tensor, Tensor, Tensor, float]:
-    """Steps of rays inside the band, of arguments as for `march`.
-
-    Their ray (S,), number on the ray (S,), distance at step 0 (R,), and the length of a step.
-    """
+    """Ray (S,) and number (S,) of steps inside the band, distance (R,) at step 0, step length."""
     lattice = occupancy.lattice
     long_step = _BLOCK * lattice.cell
     steps = min(max(math.ceil(long_step * inv_std), _LEAST_STEPS), _MOST_STEPS)
@@ -128,11 +121,7 @@ def _occupied_steps(
 
 
 def _chain(ray: Tensor, number: Tensor) -> tuple[Tensor, Tensor]:
-    """End points of intervals, where one ends at the next one's start if they touch.
-
-    Of rays and step numbers (S,), ascending: each end point's interval (Q,), and whether it is that
-    interval's end rather than its start (Q,) bool.
-    """
+    """Each end point's interval (Q,), and whether it is its end; touching ones share a point."""
     closes = torch.ones_like(ray, dtype=torch.bool)
     closes[:-1] = (ray[1:] != ray[:-1]) | (number[1:] != number[:-1] + 1)
     owner = torch.repeat_interleave(torch.arange(len(ray), device=ray.device), 1 + closes.long())

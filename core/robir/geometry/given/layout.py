@@ -104,11 +104,9 @@ def _tiled(uvs: NDArray[np.float32], faces: NDArray[np.int32]) -> Layout | str:
 
 
 def _tile_of(corners: NDArray[np.float64], outside: float) -> NDArray[np.int64]:
-    """Lower left corner (Nf, 2) of the unit square that the middle of each face (Nf, 3, 2) lies in.
-
-    Faces without an area may lie on a border whole; they go to the square before it where the
-    others of the mesh leave the one behind it empty.
-    """
+    """Lower left corner (Nf, 2) of the unit square that each face's middle (Nf, 3, 2) lies in."""
+    # faces without an area may lie on a border whole; they go to the square before it where the
+    # others of the mesh leave the one behind it empty
     (ax, ay), (bx, by) = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
     is_flat = np.abs(ax * by - ay * bx) < 1e-12
     middle = corners.mean(axis=1)

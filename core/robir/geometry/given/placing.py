@@ -106,11 +106,7 @@ class Outlines:
         return Similarity(turn=place.turn, scale=grown * place.scale, shift=shift)
 
     def _seen(self, pixels: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
-        """Of some pixels (N,): eyes (V, 3), mean directions (V, 3), and spread (V,) about them.
-
-        The spread is the root of the mean square of the directions' distance; 0 where a photograph
-        has none of the pixels.
-        """
+        """Of pixels (N,): eyes (V, 3), mean directions (V, 3), and the spread (V,) about them."""
         owners = self._owner[pixels]
         count = np.maximum(np.bincount(owners, minlength=self._count), 1)
 

@@ -108,11 +108,8 @@ def _detail(
 
 
 def _of_tiles(detail: Detail, layout: Layout) -> tuple[NDArray[np.uint8], ...] | str:
-    """The one normal map of each tile, or of the one texture; or why there is none.
-
-    A tile whose faces have none gets a flat one. A map repeats from tile to tile, so one for all
-    faces is each tile's.
-    """
+    """The one normal map of each tile, or of the one texture; or why there is none."""
+    # a tile whose faces have none gets a flat one; a map repeats, so one for all is each tile's
     count = len(layout.tiles)
     tile = tile_of_faces(layout.uvs, layout.uv_faces, count)
     pairs = np.unique(np.stack([tile, detail.of_face], axis=1), axis=0)

@@ -331,11 +331,7 @@ class Backdrop:
     def _doubted(
         self, lattice: Lattice, freed: Tensor, through: list[Mask], masks: list[Mask]
     ) -> Tensor:
-        """Freed nodes (N,) through which too many photographs see what is not ground.
-
-        `through` are the pixels looked at that nothing solid blocks any more, `masks` those that
-        show ground; nodes next to freed ones may be among the result.
-        """
+        """Freed nodes (N,), and ones beside, through which too many photographs see no ground."""
         points = lattice.nodes()[freed].double().numpy()
         good, bad = np.zeros((2, len(points)))
         for photo, open_pixels, mask in zip(self._photos, through, masks, strict=True):

@@ -290,11 +290,7 @@ def level(
 
 
 class _System:
-    """What rays say of an edge in a plane, linear in the unknowns.
-
-    These are the K distances of the edge from the middle, the rise of the plane, and the radius of
-    the edge's rounding. `usable` (P,) are the rays that may touch a far edge.
-    """
+    """What rays say of a plane's edge: K distances from its middle, the rise, the rounding."""
 
     def __init__(self, rays: OutlineRays, middle: Array, normal: Array) -> None:
         first, second = tangents(normal)
