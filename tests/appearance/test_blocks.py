@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from robir.appearance.blocks import mean_error, mean_of, table_of
+from robir.appearance.held_out_test import mean_error, mean_of, table_of
 
 
 def test_the_error_of_a_mean_is_the_scatter_of_such_means():

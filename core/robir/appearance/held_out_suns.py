@@ -16,12 +16,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from robir.appearance.blocks import block_numbers, mean_error, mean_of, table_of
-from robir.appearance.held_out_test import HeldOutTest
+from robir.appearance.held_out_test import HeldOutTest, block_numbers, mean_error, mean_of, table_of
 from robir.appearance.light.lobes import log_ratio
-from robir.appearance.light.shade import LIGHT_ERROR, of_one_material
 from robir.appearance.light.solver import Light, refit
-from robir.appearance.light.sunlight import Sunlight
+from robir.appearance.light.sunlight import LIGHT_ERROR, Sunlight, of_one_material
 from robir.appearance.material.trial import MaterialTrial
 from robir.appearance.photometry.statistics import Pairs
 from robir.appearance.solution import Solution, solve

@@ -18,7 +18,7 @@ from robir.appearance.evidence import (
     sent_by_known_albedo,
 )
 from robir.appearance.light.known_albedo import READ_ERROR
-from robir.appearance.light.prior import NO_PRIOR, LightPrior
+from robir.appearance.light.lobes import NO_PRIOR, LightPrior
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light, refit
 from robir.appearance.light.sun_search import polish

@@ -20,8 +20,7 @@ from robir.appearance.evidence import (
     level_estimates,
     log_factors,
 )
-from robir.appearance.light.lobes import log_sent
-from robir.appearance.light.prior import LightPrior
+from robir.appearance.light.lobes import LightPrior, log_sent
 from robir.appearance.light.problem import make_problem
 from robir.appearance.light.solver import refit
 from robir.appearance.material.specular import estimate_specular

@@ -13,6 +13,7 @@ from appearance import synthetic
 from robir.appearance.config import AppearanceConfig
 from robir.appearance.light import lobes, sun
 from robir.appearance.light.lobes import (
+    NO_PRIOR,
     Amplitudes,
     Priors,
     log_ratio,
@@ -23,7 +24,6 @@ from robir.appearance.light.lobes import (
     unevenness,
 )
 from robir.appearance.light.pair_loss import PairWeights
-from robir.appearance.light.prior import NO_PRIOR
 from robir.appearance.light.problem import make_problem, with_hidden
 from robir.appearance.light.solver import fit, refit
 from robir.appearance.light.sun import SunProblem, refine, scan

@@ -3,7 +3,7 @@
 
 import torch
 
-from robir.appearance.light.prior import NO_PRIOR, LightPrior
+from robir.appearance.light.lobes import NO_PRIOR, LightPrior
 
 SENT = torch.tensor([0.4, 0.1, -0.2])
 

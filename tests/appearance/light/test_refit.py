@@ -10,7 +10,7 @@ import pytest
 from appearance import synthetic
 
 from robir.appearance.config import AppearanceConfig
-from robir.appearance.light.prior import NO_PRIOR
+from robir.appearance.light.lobes import NO_PRIOR
 from robir.appearance.light.problem import make_problem
 from robir.appearance.light.solver import refit
 from robir.maths.tone import curve_from_name

@@ -4,7 +4,7 @@
 import numpy as np
 import torch
 
-from robir.appearance.light.shade import LIGHT_ERROR, irradiance_doubt, of_one_material, well_lit
+from robir.appearance.light.sunlight import LIGHT_ERROR, irradiance_doubt, of_one_material, well_lit
 from robir.appearance.photometry.statistics import Pairs
 
 DEEP, OPEN = 60, 40

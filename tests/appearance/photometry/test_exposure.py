@@ -9,13 +9,14 @@ import torch
 
 from robir.appearance.photometry.comparison import find_falloff
 from robir.appearance.photometry.exposure import (
+    NO_FALLOFF,
     ExposureModel,
+    Falloff,
     Gains,
     comparable,
 )
 from robir.appearance.photometry.gains import _least_squares, real_share, solve_gains
 from robir.appearance.photometry.statistics import diffuse_radiance, linear_observations
-from robir.appearance.photometry.vignetting import NO_FALLOFF, Falloff
 from robir.maths.tone import curve_from_name
 from robir.maths.vectors import fibonacci_sphere
 from robir.transport.observe import Observations

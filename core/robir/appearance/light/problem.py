@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from robir.appearance.blocks import block_numbers
+from robir.appearance.held_out_test import block_numbers
 from robir.appearance.light.known_albedo import KnownAlbedo
 from robir.appearance.light.lobes import MEAN_ALBEDO, Transfer, soft_transfer
 from robir.appearance.photometry.exposure import ExposureModel, Gains

@@ -12,16 +12,15 @@ from torch import Tensor
 from robir.appearance.config import AppearanceConfig
 from robir.appearance.light.lobes import (
     Amplitudes,
+    LightPrior,
     Priors,
     Transfer,
     log_ratio,
     log_sent,
     solve_amplitudes,
 )
-from robir.appearance.light.prior import LightPrior
 from robir.appearance.light.problem import Problem
-from robir.appearance.light.shade import of_one_material, well_lit
-from robir.appearance.light.sunlight import Sunlight
+from robir.appearance.light.sunlight import Sunlight, of_one_material, well_lit
 from robir.appearance.photometry.statistics import Pairs
 
 Floats = NDArray[np.float32]

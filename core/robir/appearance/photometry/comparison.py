@@ -19,13 +19,15 @@ from robir.appearance.held_out_test import HeldOutTest, fitted_views
 from robir.appearance.photometry.exposure import (
     LEAST_COSINE,
     LEAST_VIEWS,
+    NO_FALLOFF,
     ExposureModel,
+    Falloff,
     comparable,
     log_radiance,
+    solve_falloff,
 )
 from robir.appearance.photometry.gains import LEAST_POINTS, orientations, real_share, solve_gains
 from robir.appearance.photometry.own_light import have_own_lights
-from robir.appearance.photometry.vignetting import NO_FALLOFF, Falloff, solve_falloff
 from robir.capture.capture import Capture, View
 from robir.capture.images.loading import resize_views
 from robir.geometry.mesh.tracer import EmbreeTracer

@@ -19,8 +19,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robir.appearance.held_out_test import HeldOutTest
-from robir.appearance.photometry.gains import LEAST_POINTS, halves, others_errors, solve_gains
-from robir.appearance.photometry.robust import FIRST_WIDTH, LAST_WIDTH, NARROWING, Weighing
+from robir.appearance.photometry.gains import (
+    FIRST_WIDTH,
+    LAST_WIDTH,
+    LEAST_POINTS,
+    NARROWING,
+    Weighing,
+    halves,
+    others_errors,
+    solve_gains,
+)
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]

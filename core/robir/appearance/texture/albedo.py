@@ -17,8 +17,8 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from robir.appearance.light.problem import SUN_RAY_PAIRS, Problem
-from robir.appearance.light.shade import irradiance_doubt
 from robir.appearance.light.solver import Light
+from robir.appearance.light.sunlight import irradiance_doubt
 from robir.appearance.material.specular import SpecularMaterial
 from robir.appearance.photometry.statistics import (
     display_mean,

@@ -16,12 +16,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from robir.appearance.blocks import Table, difference_error, mean_of, table_of
 from robir.appearance.config import AppearanceConfig
+from robir.appearance.held_out_test import Table, difference_error, mean_of, table_of
 from robir.appearance.light.lobes import log_ratio
 from robir.appearance.light.problem import Problem, Scene, blocks_of, make_problem
-from robir.appearance.light.shade import ALIKE_BRIGHTNESS, ALIKE_HUE
 from robir.appearance.light.solver import Light, fit
+from robir.appearance.light.sunlight import ALIKE_BRIGHTNESS, ALIKE_HUE
 from robir.maths.tone_curve import AbstractToneCurve
 from robir.workers import side_by_side
 
