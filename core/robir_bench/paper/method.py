@@ -12,7 +12,7 @@ from typing import Any
 
 import torch
 
-from robir.appearance.texture.texel_size import solved_side
+from robir.appearance.texturing import solved_side
 from robir.capture.arrays import PICTURES, stored_arrays
 from robir.capture.store import load_capture
 from robir.config import RunConfig

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from robir.appearance.texture.texel_size import solved_side
+from robir.appearance.texturing import solved_side
 from robir.capture.capture import Capture
 from robir.capture.store import load_settled
 from robir.config import RunConfig

@@ -12,8 +12,8 @@ import torch
 from transport.shapes import looking_at, mesh_of, patch
 
 from robir.appearance.texture.detail import finer
-from robir.appearance.texture.texel_size import pixel_width, texture_side
 from robir.appearance.texture.texels import TexelAlbedo
+from robir.appearance.texturing import pixel_width, texture_side
 from robir.capture.capture import View
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh

@@ -12,8 +12,8 @@ from export.tiled_run import TILES
 from robir.appearance.config import AppearanceConfig
 from robir.appearance.render import AtlasLookup
 from robir.appearance.texture.detail import finer
-from robir.appearance.texture.texel_size import most_side, solved_side
 from robir.appearance.texture.texels import TexelAlbedo
+from robir.appearance.texturing import most_side, solved_side
 from robir.geometry.mesh.isosurface import plain_mesh
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
