@@ -66,6 +66,10 @@ class _Buffer:
         return len(self.accessors) - 1
 
 
+def _png(image: Codes) -> tuple[bytes, str]:
+    return encoded(image, format="PNG"), "image/png"
+
+
 def write_glb(path: Path, parts: Iterable[TexturedPart], name: str) -> None:
     """Write what `glb_bytes` gives to a file, atomically."""
     content = glb_bytes(parts, name)
@@ -76,10 +80,7 @@ def write_glb(path: Path, parts: Iterable[TexturedPart], name: str) -> None:
 def glb_bytes(
     parts: Iterable[TexturedPart],
     name: str,
-    encode: Callable[[Codes], tuple[bytes, str]] = lambda image: (
-        encoded(image, format="PNG"),
-        "image/png",
-    ),
+    encode: Callable[[Codes], tuple[bytes, str]] = _png,
 ) -> bytes:
     """A mesh whose unwrapped parts each have a material, as a glTF binary file, capture frame.
 
@@ -98,7 +99,7 @@ def glb_bytes(
         materials.append(_material(part, name, len(images)))
         for kind, picture in _pictures(part.textures).items():
             label = kind if part.tile is None else f"{kind}.{part.tile}"
-            content, kind_of_file = (encode or _png)(picture)
+            content, kind_of_file = encode(picture)
             view = buffer.add_view(content)
             images.append({"bufferView": view, "mimeType": kind_of_file, "name": label})
     document = {
@@ -183,10 +184,6 @@ def _surface_codes(textures: Textures) -> Codes:
     metallic = np.zeros_like(roughness) if textures.metallic is None else codes(textures.metallic)
     # red is free for occlusion, which we have no use for: full
     return np.stack([np.full_like(roughness, 255), roughness, metallic], axis=-1)
-
-
-def _png(image: Codes) -> tuple[bytes, str]:
-    return encoded(image, format="PNG"), "image/png"
 
 
 def _chunks(document: dict[str, Any], binary: bytes) -> bytes:

@@ -149,10 +149,6 @@ def _restore_missing(state: FitLevel) -> FitLevel:
     return state.mended(restore_missing(state.surface, allowed, state.sampler))
 
 
-def _fill_mirror_pits(state: FitLevel) -> FitLevel:
-    return state.mended(state.mirroring.filled(state.field, state.network))
-
-
 def _flatten_ground(state: FitLevel) -> FitLevel:
     """A ground that turns out to be a bowl is none."""
     if state.backdrop is None:
@@ -172,10 +168,6 @@ def _flatten_ground(state: FitLevel) -> FitLevel:
     return state.mended(flat)
 
 
-def _compare(state: FitLevel) -> FitLevel:
-    return replace(state, has_ended=state.selection.has_better(state.surface))
-
-
 # what is done at the end of every level of the fit, in this order
 LEVEL: tuple[Step[FitLevel], ...] = (
     Step(
@@ -188,7 +180,7 @@ LEVEL: tuple[Step[FitLevel], ...] = (
         name="mirror-pits",
         purpose="fills hollows that mirrored light has dug",
         source="ours: one half of a mean curvature flow",
-        run=_fill_mirror_pits,
+        run=lambda state: state.mended(state.mirroring.filled(state.field, state.network)),
     ),
     Step(
         name="flat-ground",
@@ -201,7 +193,7 @@ LEVEL: tuple[Step[FitLevel], ...] = (
         purpose="ends the fit where depth maps or masks alone explain photographs better",
         source="semi-global matching (Hirschmueller 2008), patch refinement (Furukawa 2010), "
         "visual hull (Laurentini 1994)",
-        run=_compare,
+        run=lambda state: replace(state, has_ended=state.selection.has_better(state.surface)),
     ),
 )
 

@@ -82,7 +82,8 @@ class RaySampler:
         )
         self._device = device
         cameras = [photo.camera for photo in photos]
-        self.follow(cameras)
+        poses = torch.tensor(np.stack([c.camera_to_world for c in cameras])).float()
+        self._poses = poses.to(device)
         lenses = torch.tensor([[c.fx, c.fy, c.cx, c.cy] for c in cameras]).float()
         self._lenses = lenses.to(device)
         self._generator = generator
@@ -91,11 +92,6 @@ class RaySampler:
     def _shuffle(self) -> None:
         order = torch.randperm(len(self._views), generator=self._generator)
         self._order, self._next = order.to(self._device), 0
-
-    def follow(self, cameras: list[Camera]) -> None:
-        """Take the poses of other cameras, one a photograph."""
-        poses = torch.tensor(np.stack([c.camera_to_world for c in cameras])).float()
-        self._poses = poses.to(self._device)
 
     def draw(self, count: int) -> tuple[Tensor, Tensor, Tensor]:
         """Draw rays: origins and unit directions (R, 3), unit frame, and targets (R, 4).
