@@ -78,7 +78,7 @@ def run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     problem, light, specular = solution.matte, solution.light, solution.material
     seconds["light"] = time.process_time() - started - seconds["tone_curve"]
     reporter.progress(0.7, "reading the textures from the photographs")
-    shape = lit.mesh, tracer, own_tracer
+    shape = lit.mesh, tracer
     texture = textured((problem, light, specular), shape, capture.without(other), config, pipeline)
     light, specular, inside = texture.light, texture.specular, texture.inside
     values = texture.values

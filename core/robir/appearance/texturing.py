@@ -103,7 +103,6 @@ class Texture:
     specular: SpecularMaterial  # specular material of the samples
     mesh: Mesh  # unwrapped, unit frame
     tracer: EmbreeTracer  # of the mesh that light is solved on
-    own_tracer: EmbreeTracer  # of the mesh itself, by whose faces texels are found
     capture: Capture  # photographs that take part, unit frame
     views: tuple[View, ...]  # those that albedo is read from, at the size that they are read at
     config: AppearanceConfig  # sizes
@@ -118,17 +117,17 @@ class Texture:
 
 def textured(
     solved: tuple[Problem, Light, SpecularMaterial],
-    surface: tuple[Mesh, EmbreeTracer, EmbreeTracer],
+    surface: tuple[Mesh, EmbreeTracer],
     capture: Capture,
     config: AppearanceConfig,
     pipeline: Pipeline,
 ) -> Texture:
     """Texels of the atlas at the side that photographs resolve.
 
-    Of an unwrapped mesh, unit frame, with the tracer of the mesh for light and its own. `capture`
+    Of an unwrapped mesh, unit frame, with the tracer of the mesh for light. `capture`
     must lack photographs under another light: their shade would darken the texture of all.
     """
-    (problem, light, specular), (mesh, tracer, own_tracer) = solved, surface
+    (problem, light, specular), (mesh, tracer) = solved, surface
     side = solved_side(config, mesh.cells)
     face, barycentric = rasterise_atlas(mesh, side)
     inside = face >= 0
@@ -144,7 +143,6 @@ def textured(
         specular=specular,
         mesh=mesh,
         tracer=tracer,
-        own_tracer=own_tracer,
         capture=capture,
         views=views,
         config=config,

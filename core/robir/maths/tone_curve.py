@@ -60,11 +60,6 @@ class AbstractToneCurve(ABC):
         """Free numbers of the family by name, for tone_curve.json."""
         return {}
 
-    @property
-    def is_clipping(self) -> bool:
-        """Whether the curve runs into white at a visible slope, piling pixels up at code 255."""
-        return False
-
     @abstractmethod
     def display_from_linear(self, rgb_linear: Tensor) -> Tensor:
         """Display codes 0..1 of scene radiance, linear Rec.709, at least 0, (..., 3)."""
@@ -117,11 +112,6 @@ class PoweredToneCurve(AbstractToneCurve):
     def parameters(self) -> dict[str, float]:
         """Those of the base, and the power."""
         return self.base.parameters | {DISPLAY_POWER: self.power}
-
-    @property
-    def is_clipping(self) -> bool:
-        """As the base: a power keeps white where it is."""
-        return self.base.is_clipping
 
     def display_from_linear(self, rgb_linear: Tensor) -> Tensor:
         """See AbstractToneCurve."""

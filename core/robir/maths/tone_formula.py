@@ -23,8 +23,6 @@ from robir.maths.tone_curve import (
 )
 
 LOG2_RANGE_KHRONOS = (-9.0, 10.0)
-# Display code per stop at white above which a curve piles pixels up there.
-_CLIPPING_SLOPE = 0.05
 
 
 class StandardToneCurve(AbstractToneCurve):
@@ -32,11 +30,6 @@ class StandardToneCurve(AbstractToneCurve):
 
     name = "standard"
     blender_view_transform = "Standard"
-
-    @property
-    def is_clipping(self) -> bool:
-        """White is a hard clip."""
-        return True
 
     def display_from_linear(self, rgb_linear: Tensor) -> Tensor:
         """See AbstractToneCurve."""
@@ -64,11 +57,6 @@ class CameraToneCurve(AbstractToneCurve):
         """Tabulate the response, from which the inverse starts."""
         self._linear = torch.linspace(0.0, 1.0, 4097, dtype=torch.float64) ** 2
         self._display = self._response(self._linear)
-
-    @property
-    def is_clipping(self) -> bool:
-        """White is a hard clip."""
-        return True
 
     def display_from_linear(self, rgb_linear: Tensor) -> Tensor:
         """See AbstractToneCurve."""
@@ -164,13 +152,6 @@ class AcesToneCurve(AbstractToneCurve):
     def parameters(self) -> dict[str, float]:
         """The scalar g."""
         return {"tone_gamma": float(self.tone_gamma.detach())}
-
-    @property
-    def is_clipping(self) -> bool:
-        """True for small g, where the stretched curve crosses white steeply."""
-        white = self.linear_from_display(torch.ones(3, dtype=torch.float64))
-        below = self.display_from_linear(white * 0.5**0.1)
-        return bool(((1.0 - below) / 0.1).max() > _CLIPPING_SLOPE)
 
     def display_from_linear(self, rgb_linear: Tensor) -> Tensor:
         """See AbstractToneCurve."""

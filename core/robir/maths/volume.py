@@ -49,8 +49,6 @@ def transmittance(log_step: Tensor, first: Tensor) -> Tensor:
 class _Weights(torch.autograd.Function):
     """Transmittance times opacity with the slope in closed form."""
 
-    # torch's own goes back through a look-up by `first`, whose scatter costs more than all the rest
-
     @staticmethod
     def forward(ctx: Any, log_step: Tensor, first: Tensor) -> Tensor:
         through = transmittance(log_step, first)
@@ -60,7 +58,8 @@ class _Weights(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, None]:
-        # an interval lets less through to itself, by T e^l, and to all behind it, by their weights
+        # torch's own goes back through a look-up by `first`, whose scatter costs most; an
+        # interval lets less through to itself, by T e^l, and to all behind it, by their weights
         first, through, weight = ctx.saved_tensors
         gradient = gradients[0]
         total = torch.cumsum((gradient * weight).double(), dim=0)

@@ -110,12 +110,6 @@ def reflected_share(rays: ViewRays, roughness: float) -> Tensor:
     return F0 * scale + bias
 
 
-def metal_share(rays: ViewRays, roughness: float) -> Tensor:
-    """The same (M,) of a metal whose base colour is 1."""
-    scale, bias = microfacet.environment_brdf(rays.cosine, torch.full_like(rays.cosine, roughness))
-    return scale + bias
-
-
 def tilts_of() -> tuple[tuple[float, float], ...]:
     """Tilts of the normal, along two tangents, that are tried: none, and six about it."""
     around = np.arange(6) * np.pi / 3
