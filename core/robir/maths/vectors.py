@@ -75,9 +75,7 @@ def ring(axis: NDArray[np.floating], radius: float, count: int, turn: float) -> 
     )
 
 
-def fibonacci_sphere(
-    count: int, *, dtype: torch.dtype = torch.float32, device: torch.device | str = "cpu"
-) -> Tensor:
+def fibonacci_sphere(count: int, *, dtype: torch.dtype = torch.float32) -> Tensor:
     """Near-uniform unit directions (count, 3) on a golden spiral, from +Z down to -Z.
 
     Each direction stands for the solid angle 4 pi / count; heights are the midpoints of equal
@@ -88,8 +86,7 @@ def fibonacci_sphere(
     z = 1.0 - (2.0 * index + 1.0) / count
     radius = torch.sqrt((1.0 - z * z).clamp_min(0.0))
     azimuth = GOLDEN_ANGLE * index
-    directions = torch.stack([radius * azimuth.cos(), radius * azimuth.sin(), z], dim=-1)
-    return directions.to(device=device, dtype=dtype)
+    return torch.stack([radius * azimuth.cos(), radius * azimuth.sin(), z], dim=-1).to(dtype)
 
 
 def direction_from_uv(uv: Tensor) -> Tensor:
