@@ -38,35 +38,29 @@ from robir_bench.truth.scores import (
     Score,
 )
 
+# figures by which a step earns its place
 HEADLINES = (ALBEDO, RAW_ALBEDO, SHADOW, ROUGHNESS, NORMALS, LEVEL, HUE, SUN)
-"""Figures by which a step earns its place."""
 
+# Degrees. A sun counts by the logarithm of its error, no smaller than this: the mean of degrees is
+# that of suns which are wrong altogether, and moves by chance with any step.
 SMALLEST_ANGLE = 0.1
-"""Degrees. A sun counts by the logarithm of its error, no smaller than this: the mean of degrees is
-that of suns which are wrong altogether, and moves by chance with any step."""
 
 DRAWN = (ALBEDO, RAW_ALBEDO)
 
-ENOUGH = 40
-"""Captures that a verdict needs."""
+ENOUGH = 40  # captures that a verdict needs
 
+# captures of a class that count, dB of albedo that a step must bring one, and may cost another
 CLASS_SIZE, CLASS_GAIN, CLASS_LOSS = 5, 1.0, 0.3
-"""Captures of a class that count, dB of albedo that a step must bring one, and may cost another."""
 
 Classes = Mapping[str, Mapping[str, str]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LeftOutStep:
-    """A step that can be left out.
+    """A step that can be left out."""
 
-    Attributes:
-        stage: Name of its stage.
-        step: The step.
-    """
-
-    stage: str
-    step: Step[Any]
+    stage: str  # name of its stage
+    step: Step[Any]  # the step
 
     @property
     def method(self) -> str:
@@ -122,17 +116,12 @@ def ablated(runs: Sequence[BenchRun], chosen: Sequence[LeftOutStep]) -> list[Ben
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Worth:
-    """What a step brings.
+    """What a step brings."""
 
-    Attributes:
-        trial: The step.
-        pairs: Records with and without it, of captures where both were scored.
-        classes: Of the captures.
-    """
-
-    trial: LeftOutStep
+    trial: LeftOutStep  # the step
+    # records with and without it, of captures where both were scored
     pairs: Sequence[tuple[Record, Record]]
-    classes: Classes
+    classes: Classes  # of the captures
 
     def gain(self, score: Score) -> PopulationFigure | None:
         """Mean over captures of how much better a figure is with the step, in its unit."""

@@ -23,8 +23,8 @@ _PALETTE = (
     "#c8502d", "#2f6db0", "#3f9a5f", "#8a56a8", "#b8892b",
     "#4aa3a8", "#d0699a", "#6b7480", "#20262d", "#95b53c",
 )  # fmt: skip
+# text stays text, and equal figures are equal files
 SVG_STYLE: Any = {"svg.fonttype": "none", "svg.hashsalt": "robir", "font.size": 9.0}
-"""Text stays text, and equal figures are equal files."""
 
 
 def speed_accuracy(records: Sequence[Record]) -> str:

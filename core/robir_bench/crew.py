@@ -25,27 +25,18 @@ from robir.workers import CORES, available_cores
 from robir_bench.plan import BenchRun
 from robir_bench.runs import Scores, last_line, out_of_budget, read_scores, waits_for
 
-_PERIOD = 0.2
-"""Seconds between two looks at what is at work."""
+_PERIOD = 0.2  # seconds between two looks at what is at work
 
 
 @dataclass(slots=True, kw_only=True)
 class Crew:
-    """Does runs on this machine, several at a time.
+    """Does runs on this machine, several at a time."""
 
-    Attributes:
-        runs: What to do, in order.
-        folder: Of the results and `scores.jsonl`.
-        jobs: Most at a time.
-        command: Words that do the run whose number follows, and leave its record.
-        say: Takes a line about each run.
-    """
-
-    runs: Sequence[BenchRun]
-    folder: Path
-    jobs: int
-    command: Sequence[str]
-    say: Callable[[str], None]
+    runs: Sequence[BenchRun]  # what to do, in order
+    folder: Path  # of the results and `scores.jsonl`
+    jobs: int  # most at a time
+    command: Sequence[str]  # words that do the run whose number follows, and leave its record
+    say: Callable[[str], None]  # takes a line about each run
     _running: dict[int, subprocess.Popen[Any]] = field(default_factory=dict)
 
     def work(self, budget: float | None) -> None:

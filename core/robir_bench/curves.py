@@ -18,8 +18,7 @@ from robir_bench.truth.light import CODES, grey_radiance, true_curve
 
 _INK, _ACCENT, _MUTED = "#20262d", "#c8502d", "#9aa4ae"
 _COLUMNS = 4
-WANTED = (0.85, 0.95)
-"""Where the observed share of the 90 % band must lie over a bench."""
+WANTED = (0.85, 0.95)  # where the observed share of the 90 % band must lie over a bench
 
 
 def calibration(records: Sequence[Record]) -> str | None:

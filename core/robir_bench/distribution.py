@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
-Statistic = Callable[[Floats], Floats]
-"""Takes samples (..., N), returns one number each (...)."""
+Statistic = Callable[[Floats], Floats]  # takes samples (..., N), returns one number each (...)
 
 RESAMPLES = 4000
 CONFIDENCE = 0.9
@@ -19,19 +18,12 @@ CONFIDENCE = 0.9
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PopulationFigure:
-    """A figure of a population, estimated from some captures of it.
+    """A figure of a population, estimated from some captures of it."""
 
-    Attributes:
-        value: The figure of these captures.
-        low: Lower end of its interval; None where fewer than two captures tell.
-        high: Upper end.
-        count: Captures that it rests on.
-    """
-
-    value: float
-    low: float | None
-    high: float | None
-    count: int
+    value: float  # the figure of these captures
+    low: float | None  # lower end of its interval; None where fewer than two captures tell
+    high: float | None  # upper end
+    count: int  # captures that it rests on
 
     def text(self, digits: int) -> str:
         """The figure and its interval as shown, such as "21.3 [19.8, 22.4]"."""

@@ -17,27 +17,20 @@ from robir_bench.chart import SVG_STYLE, svg
 from robir_bench.table import Record, Table, value
 from robir_bench.truth.scores import ALBEDO, SHADOW
 
+# a run whose albedo is this far below the median of its scene's unperturbed runs is wrong
 MISLED_DECIBEL = 6.0
-"""A run whose albedo is this far below the median of its scene's unperturbed runs is wrong."""
 
 _KEYS = ("capture", "preset", "method", "seed")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Case:
-    """A spoilt run beside the run on the capture as it was.
+    """A spoilt run beside the run on the capture as it was."""
 
-    Attributes:
-        record: Of the spoilt run.
-        base: Of the unperturbed run, or None if that failed.
-        lost: Decibel of albedo lost, or None where either failed.
-        shadow: Shadow ratio, or None.
-    """
-
-    record: Record
-    base: Record | None
-    lost: float | None
-    shadow: float | None
+    record: Record  # of the spoilt run
+    base: Record | None  # of the unperturbed run, or None if that failed
+    lost: float | None  # decibel of albedo lost, or None where either failed
+    shadow: float | None  # shadow ratio, or None
 
     @property
     def row(self) -> tuple[str, str]:

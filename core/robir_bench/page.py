@@ -41,51 +41,31 @@ from robir_bench.truth.scores import ALBEDO
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PictureRow:
-    """Pictures side by side.
+    """Pictures side by side."""
 
-    Attributes:
-        title: What the row shows.
-        tiles: Label and data address of each picture.
-        notes: Paragraphs below.
-    """
-
-    title: str
-    tiles: Sequence[tuple[str, str]]
-    notes: Sequence[str] = ()
+    title: str  # what the row shows
+    tiles: Sequence[tuple[str, str]]  # label and data address of each picture
+    notes: Sequence[str] = ()  # paragraphs below
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Chart:
-    """A chart that also lies beside the page as a file.
+    """A chart that also lies beside the page as a file."""
 
-    Attributes:
-        title: Heading.
-        file: Name of the file.
-        drawing: SVG text.
-    """
-
-    title: str
-    file: str
-    drawing: str
+    title: str  # heading
+    file: str  # name of the file
+    drawing: str  # SVG text
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Page:
-    """A page: pictures first, then the charts, then the tables.
+    """A page: pictures first, then the charts, then the tables."""
 
-    Attributes:
-        title: Heading.
-        lead: One paragraph.
-        rows: Pictures.
-        charts: The first is the main one.
-        tables: Below.
-    """
-
-    title: str
-    lead: str
-    rows: Sequence[PictureRow]
-    charts: Sequence[Chart]
-    tables: Sequence[Table]
+    title: str  # heading
+    lead: str  # one paragraph
+    rows: Sequence[PictureRow]  # pictures
+    charts: Sequence[Chart]  # the first is the main one
+    tables: Sequence[Table]  # below
 
 
 def write_bench(folder: Path, runs: Sequence[BenchRun], records: Mapping[str, Record]) -> Path:

@@ -34,16 +34,16 @@ from robir.geometry.mesh.triangles import Mesh
 from robir.jobs.paths import JobPaths, replacing
 from robir_bench.truth.aligned import truth_of
 
+# what `draw_result` puts side by side, left to right
 TILES = ("photograph", "true albedo", "albedo")
-"""What `draw_result` puts side by side, left to right."""
 
+# the same of `draw_photographed`
 PHOTOGRAPHED_TILES = ("photograph", "re-render", "albedo", "clay", "relit")
-"""The same of `draw_photographed`."""
 
 Picture = NDArray[np.uint8]
 
+# towards the lamp that clay is shown under: right, up and back, in the camera's axes
 _CLAY_LIGHT = np.array([-0.35, 0.45, 0.82])
-"""Towards the lamp that clay is shown under: right, up and back, in the camera's axes."""
 
 
 def draw_result(paths: JobPaths, truth: Path, scale: list[float], picture: Path) -> None:

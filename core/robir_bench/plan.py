@@ -39,9 +39,11 @@ PHOTO = "photo"
 MITSUBA = "mitsuba"
 MITSUBA_TOLD = "mitsuba, true curve and sun"
 
+# methods that share nothing but capture and geometry, see photo.py and prb.py
 BORROWERS = (PHOTO, MITSUBA, MITSUBA_TOLD)
-"""Methods that share nothing but capture and geometry, see photo.py and prb.py."""
 
+# Each method as settings put over the preset. Those of BORROWERS have none; neither have the
+# published ones (see published.py), which share the capture alone.
 METHODS: dict[str, tuple[str, ...]] = {
     OURS: (),
     "no visibility": ("transport.use_visibility=false",),
@@ -53,28 +55,19 @@ METHODS: dict[str, tuple[str, ...]] = {
     "hull geometry": ("geometry.level_cells=[64]", "geometry.level_steps=[1]"),
     **dict.fromkeys((*BORROWERS, *VARIANTS), ()),
 }
-"""Each method as settings put over the preset. Those of BORROWERS have none; neither have the
-published ones (see published.py), which share the capture alone."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BenchPlan:
-    """A bench as written by the user.
+    """A bench as written by the user."""
 
-    Attributes:
-        captures: Folders of captures, relative to the plan's folder; those without truth are
-            scored by their held-out photographs alone.
-        presets: Names of presets.
-        methods: Names in METHODS.
-        seeds: Seeds of the reconstruction and of what spoils a capture.
-        settings: Items as for `--set`, for every run.
-    """
-
+    # folders of captures, relative to the plan's folder; those without truth are scored by their
+    # held-out photographs alone
     captures: tuple[str, ...]
-    presets: tuple[str, ...] = ("draft",)
-    methods: tuple[str, ...] = (OURS,)
-    seeds: tuple[int, ...] = (0,)
-    settings: tuple[str, ...] = ("export.renders=false",)
+    presets: tuple[str, ...] = ("draft",)  # names of presets
+    methods: tuple[str, ...] = (OURS,)  # names in METHODS
+    seeds: tuple[int, ...] = (0,)  # seeds of the reconstruction and of what spoils a capture
+    settings: tuple[str, ...] = ("export.renders=false",)  # items as for `--set`, for every run
 
     def __post_init__(self) -> None:
         """Refuse names nobody knows, and methods that miss what they start from."""
@@ -93,34 +86,21 @@ class BenchPlan:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RenderedEntry:
-    """One entry `[[rendered]]` of a sweep's plan.
+    """One entry `[[rendered]]` of a sweep's plan."""
 
-    Attributes:
-        of: Capture of the plan that it is compared with.
-        factor: What differs.
-        value: How.
-        capture: Folder of the other capture with truth, relative to the plan's folder.
-    """
-
-    of: str
-    factor: str
-    value: str
-    capture: str
+    of: str  # capture of the plan that it is compared with
+    factor: str  # what differs
+    value: str  # how
+    capture: str  # folder of the other capture with truth, relative to the plan's folder
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rendered:
-    """A value of a factor that needed a render of its own.
+    """A value of a factor that needed a render of its own."""
 
-    Attributes:
-        source: Capture it is compared with.
-        factor: Name for people.
-        label: Value for people.
-    """
-
-    source: Path
-    factor: str
-    label: str
+    source: Path  # capture it is compared with
+    factor: str  # name for people
+    label: str  # value for people
 
     def make(self, out: Path, seed: int) -> None:
         """Nothing: the capture is there, or the run says that it is not."""
@@ -128,29 +108,20 @@ class Rendered:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BenchRun:
-    """One result of a bench.
+    """One result of a bench."""
 
-    Attributes:
-        capture: Folder of the capture.
-        preset: Preset.
-        method: Name in METHODS.
-        seed: Seed.
-        settings: Items for `--set`, those of the method last.
-        perturbation: What sets the capture apart where it is one made worse, else None.
-        is_relit: Whether it is shown under the second light too, where its capture has one.
-        left_out: Stage and name of the step that it does without, if any.
-        oracle: Quantity that it takes from the truth, if any, see judge/oracles.py.
-    """
-
-    capture: Path
-    preset: str
-    method: str
-    seed: int
-    settings: tuple[str, ...]
+    capture: Path  # folder of the capture
+    preset: str  # preset
+    method: str  # name in METHODS
+    seed: int  # seed
+    settings: tuple[str, ...]  # items for `--set`, those of the method last
+    # what sets the capture apart where it is one made worse, else None
     perturbation: Perturbation | Rendered | None = None
+    # whether it is shown under the second light too, where its capture has one
     is_relit: bool = True
+    # stage and name of the step that it does without, if any
     left_out: tuple[str, str] | None = None
-    oracle: str | None = None
+    oracle: str | None = None  # quantity that it takes from the truth, if any, see judge/oracles.py
 
     @property
     def name(self) -> str:

@@ -34,34 +34,27 @@ from robir_bench.truth.scores import (
     Score,
 )
 
+# captures of seeds from here on are kept for verdicts; those below are for development
 VERDICT_SEED = 1000
-"""Captures of seeds from here on are kept for verdicts; those below are for development."""
 
+# kinds of classes that are told apart
 KINDS = ("ground", "paint", "metal", "tone", "sun", "backdrop")
-"""Kinds of classes that are told apart."""
 
-TAIL = 0.1
-"""Share of captures that are worse than the "worst tenth"."""
+TAIL = 0.1  # share of captures that are worse than the "worst tenth"
 
-MISSED_SUN = 90.0
-"""Degrees that count where there is a sun and no lamp was found."""
+MISSED_SUN = 90.0  # degrees that count where there is a sun and no lamp was found
 
-_WITH_SUN = (SHADOW, SUN)
-"""Figures that mean nothing where no sun casts a shadow."""
+_WITH_SUN = (SHADOW, SUN)  # figures that mean nothing where no sun casts a shadow
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Spread:
-    """One figure over some captures.
+    """One figure over some captures."""
 
-    Attributes:
-        median: Of the figure's distance from what is right, where it is a ratio or an error with a
-            sign, else of the figure itself.
-        worst_tenth: What one in ten is worse than.
-    """
-
+    # of the figure's distance from what is right, where it is a ratio or an error with a sign, else
+    # of the figure itself
     median: PopulationFigure | None
-    worst_tenth: PopulationFigure | None
+    worst_tenth: PopulationFigure | None  # what one in ten is worse than
 
 
 def read_population(folder: Path) -> list[BenchRun]:
@@ -135,11 +128,11 @@ def below_photo(members: Sequence[Record]) -> PopulationFigure | None:
     return estimate([float(gain is None or gain < 0.0) for gain in gains], mean)
 
 
+# what is reported, in this order
 FIGURES = (
     ALBEDO, RAW_ALBEDO, ABOVE_PHOTO, SHADOW, ROUGHNESS, NORMALS, LEVEL, HUE, SUN, RELIT, RELIT_RAW,
     SECONDS,
 )  # fmt: skip
-"""What is reported, in this order."""
 
 
 def groups(

@@ -28,11 +28,11 @@ from robir_bench.truth.files import has_truth
 
 Record = dict[str, Any]
 
+# Cycles samples a pixel of relit pictures, denoised; as many as the truth about has
 RELIT_SAMPLES = "32"
-"""Cycles samples a pixel of relit pictures, denoised; as many as the truth about has."""
 
+# stages that the methods of BORROWERS share with the whole method and are charged for
 _BORROWED = ("capture", "geometry")
-"""Stages that the methods of BORROWERS share with the whole method and are charged for."""
 
 
 def scores_file(folder: Path) -> Path:

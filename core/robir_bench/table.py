@@ -17,17 +17,11 @@ _CLIPPING = "standard"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Table:
-    """A table for Markdown and HTML alike.
+    """A table for Markdown and HTML alike."""
 
-    Attributes:
-        title: Heading.
-        head: Titles of the columns.
-        rows: Cells as shown.
-    """
-
-    title: str
-    head: Sequence[str]
-    rows: Sequence[Sequence[str]]
+    title: str  # heading
+    head: Sequence[str]  # titles of the columns
+    rows: Sequence[Sequence[str]]  # cells as shown
 
     def markdown(self) -> str:
         """The table with its heading."""

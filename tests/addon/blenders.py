@@ -37,17 +37,11 @@ with open(task["answer"], "w", encoding="utf-8") as file:
 
 @dataclass(frozen=True)
 class Blender:
-    """A Python that can import bpy.
+    """A Python that can import bpy."""
 
-    Attributes:
-        version: Of the wheel, as in "4.5.15".
-        python: The interpreter.
-        site_packages: Where its bpy lies.
-    """
-
-    version: str
-    python: Path
-    site_packages: Path
+    version: str  # of the wheel, as in "4.5.15"
+    python: Path  # the interpreter
+    site_packages: Path  # where its bpy lies
 
 
 def sessions(*names: str) -> str:

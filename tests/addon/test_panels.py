@@ -13,8 +13,8 @@ from addon.finished import make_result
 pytestmark = pytest.mark.blender
 
 HERE = Path(__file__).parent
+# operators that are of no use by themselves: no menu has them
 INTERNAL = {"drop_capture", "drop_from_batch", "prefer_in_batch"}
-"""Operators that are of no use by themselves: no menu has them."""
 
 
 def script(session: str) -> str:

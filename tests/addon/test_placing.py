@@ -15,8 +15,7 @@ from robir.jobs.paths import read_json, write_json
 
 pytestmark = pytest.mark.blender
 
-HIGH = 0.5
-"""Height of the ground in the test above the sphere's middle, unit frame."""
+HIGH = 0.5  # height of the ground in the test above the sphere's middle, unit frame
 
 PLACE = """
 import bmesh

@@ -47,6 +47,7 @@ bpy.ops.wm.save_mainfile()
 os._exit(0)  # with such drivers Blender's own end waits for ever
 """
 
+# the commands in a Blender whose user lets every file run its scripts
 RUNS_SCRIPTS = """
 import sys
 import time
@@ -56,7 +57,6 @@ from robir_addon.headless import main
 bpy.context.preferences.filepaths.use_scripts_auto_execute = True
 sys.exit(main(sys.argv[1:]))
 """
-"""The commands in a Blender whose user lets every file run its scripts."""
 
 
 def headless(*arguments):

@@ -14,6 +14,7 @@ from pathlib import Path
 
 ANY, OPERATOR = "*", "Operator"
 
+# functions and the places of those arguments that are looked up, by them or by Blender
 LOOKED_UP = {
     "words": (0,),
     "told": (0,),
@@ -25,37 +26,33 @@ LOOKED_UP = {
     "Status": (1, 2),
     "report": (1,),
 }
-"""Functions and the places of those arguments that are looked up, by them or by Blender."""
 
+# functions that show what they are given, and the place of that argument
 AS_IT_IS = {"paragraph": 2, "poll_message_set": 0, "show_problem": 0}
-"""Functions that show what they are given, and the place of that argument."""
 
+# fields of the state that panels show as they are
 SHOWN = ("message", "error", "error_cure", "engine_text", "recognised")
-"""Fields of the state that panels show as they are."""
 
 BUTTONS = ("operator", "operator_menu_enum")
 CONFIRMED = ("title", "message", "confirm_text")
 
+# programs for the command line, and what runs before there are catalogues: English only
 APART = (
     "headless.py",
     "command_line.py",
     "gateway.py",
     *(f"engine/{name}.py" for name in ("install", "lock", "pip", "remove")),
 )
-"""Programs for the command line, and what runs before there are catalogues: English only."""
 
 
 @dataclass
 class Found:
-    """What was found in the source.
+    """What was found in the source."""
 
-    Attributes:
-        texts: Texts with the places that say them.
-        faults: Texts that cannot be translated: put together before they are looked up, or not
-            looked up at all; with their places.
-    """
-
+    # texts with the places that say them
     texts: dict[tuple[str, str], list[str]] = field(default_factory=dict)
+    # texts that cannot be translated: put together before they are looked up, or not looked up at
+    # all; with their places
     faults: list[str] = field(default_factory=list)
 
 

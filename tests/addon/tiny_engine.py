@@ -18,13 +18,13 @@ sys.path[:0] = [str(ROOT / "core"), str(ROOT)]  # this checkout, whichever is in
 from robir import cli, presets  # noqa: E402
 from robir.pipeline.reporter import RunReporter  # noqa: E402
 
+# constants by which a mesh's place is looked for by fewer photographs and among fewer turns
 QUICK_TO_PLACE = (
     "geometry.given.placing._VIEWS=6",
     "geometry.given.placing._TURNS=150",
     "geometry.given.placing._FOLLOWED=2",
     "geometry.given.placing._EVALUATIONS=150",
 )
-"""Constants by which a mesh's place is looked for by fewer photographs and among fewer turns."""
 
 
 def tiny():

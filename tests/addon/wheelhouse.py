@@ -103,16 +103,11 @@ def write_hashes(folder: Path, wheels: Path) -> Path:
 
 @dataclass
 class Index:
-    """A package index on this machine.
+    """A package index on this machine."""
 
-    Attributes:
-        url: Its address.
-        asked: Paths that were asked for.
-        break_off: Names of files of which, once each, only half is sent.
-    """
-
-    url: str = ""
-    asked: list[str] = field(default_factory=list)
+    url: str = ""  # its address
+    asked: list[str] = field(default_factory=list)  # paths that were asked for
+    # names of files of which, once each, only half is sent
     break_off: set[str] = field(default_factory=set)
 
 

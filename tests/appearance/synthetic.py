@@ -43,45 +43,32 @@ PALETTE = np.float32([[0.55, 0.5, 0.45], [0.2, 0.3, 0.12], [0.4, 0.15, 0.12], [0
 
 Corner = tuple[float, float, float]
 Boxes = tuple[tuple[Corner, Corner], ...]
+# lowest and highest corner of each
 TWO_BOXES: Boxes = (
     ((-0.35, -0.3, 0.0), (0.05, 0.1, 0.4)),
     ((0.25, 0.2, 0.0), (0.5, 0.45, 0.6)),
 )
-"""Lowest and highest corner of each."""
 
 
 @dataclass(frozen=True)
 class Material:
-    """What a part of a ball is made of.
+    """What a part of a ball is made of."""
 
-    Attributes:
-        base: (3,) albedo, or base colour of a metal, linear Rec.709.
-        roughness: Perceptual.
-        specular: F0 of the layer above the diffuse one, 1 for a metal, 0 where there is none.
-    """
-
-    base: np.ndarray
-    roughness: float
+    base: np.ndarray  # (3,) albedo, or base colour of a metal, linear Rec.709
+    roughness: float  # perceptual
+    # f0 of the layer above the diffuse one, 1 for a metal, 0 where there is none
     specular: float = 0.04
 
 
 @dataclass(frozen=True)
 class Stage:
-    """Geometry with its transport and albedo; light comes later.
+    """Geometry with its transport and albedo; light comes later."""
 
-    Attributes:
-        mesh: Floor and two boxes.
-        tracer: Of the mesh.
-        surfels: Samples.
-        visibility: Of the samples.
-        albedo: (S, 3), constant in pieces.
-    """
-
-    mesh: Mesh
-    tracer: EmbreeTracer
-    surfels: Surfels
-    visibility: Visibility
-    albedo: np.ndarray
+    mesh: Mesh  # floor and two boxes
+    tracer: EmbreeTracer  # of the mesh
+    surfels: Surfels  # samples
+    visibility: Visibility  # of the samples
+    albedo: np.ndarray  # (S, 3), constant in pieces
 
 
 def boxes_on_a_floor(num_surfels: int = 1500, boxes: Boxes = TWO_BOXES) -> Stage:

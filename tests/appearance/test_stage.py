@@ -34,8 +34,7 @@ CONFIG = AppearanceConfig(
     texture_size=64,
 )
 
-PAINT = (0.4, 0.35, 0.3)
-"""Albedo of one spot, as a user tells it."""
+PAINT = (0.4, 0.35, 0.3)  # albedo of one spot, as a user tells it
 
 DARK = ("view_003", "view_004")
 

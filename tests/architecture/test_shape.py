@@ -19,8 +19,7 @@ ROOT = Path(__file__).parents[2]
 SHIPPED = ("core", "robir_addon", "blender_scenes")
 MAX_FILE_LINES = 400
 MAX_FUNCTION_LINES = 60
-MOST_SETTINGS = 46
-"""As many as there are: this number only falls. What nobody turns is a constant."""
+MOST_SETTINGS = 46  # As many as there are: this number only falls. What nobody turns is a constant.
 
 SOURCES = [ROOT / "build_addon.py"]
 SOURCES += [path for folder in SHIPPED for path in sorted((ROOT / folder).rglob("*.py"))]
@@ -87,11 +86,11 @@ def public(tree: ast.Module | ast.ClassDef) -> Iterator[ast.AST]:
                 yield from public(node)
 
 
+# methods that Blender calls, or the bases of operators; these say what they are for
 OF_BLENDER = {
     *("poll", "invoke", "execute", "modal", "draw", "draw_header_preset", "poll_drop"),
     *("work", "begin", "start", "clicked"),
 }
-"""Methods that Blender calls, or the bases of operators; these say what they are for."""
 
 
 def is_of_blender(path: Path, node: ast.AST) -> bool:

@@ -30,12 +30,12 @@ from robir.jobs.library import LibraryPaths
 from robir.jobs.paths import STAGES
 from robir.specimen import SETTINGS, write_specimen
 
+# seconds of the processor, with all that a real run does
 LEAST = (
     *(item for item in SETTINGS if not item.startswith("export.")),
     *RENDERS, "geometry.level_steps=[40]", 'appearance.families=["standard"]',
     "appearance.iterations=20", "appearance.texture_size=64", "transport.num_directions=64",
 )  # fmt: skip
-"""Seconds of the processor, with all that a real run does."""
 
 KINDS = ("batch", "worker", "worker and its own", "all")
 

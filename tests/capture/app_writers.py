@@ -14,12 +14,12 @@ from capture.scene import Shot, surface_points
 from capture.writers import FLIP, save_masks, save_pictures
 from scipy.spatial.transform import Rotation
 
+# rotation, translation and scale of the Metashape chunk
 PLACE = (
     Rotation.from_euler("xyz", [0.4, -0.7, 1.9]).as_matrix(),
     np.array([7.0, -3.0, 0.5]),
     2.25,
 )
-"""Rotation, translation and scale of the Metashape chunk."""
 
 POLYCAM = ("corrected_cameras", "corrected_images")
 

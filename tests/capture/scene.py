@@ -17,15 +17,10 @@ BOX_LOW, BOX_HIGH = np.array([0.2, -0.4, -0.5]), np.array([0.9, 0.4, 0.1])
 
 @dataclass(frozen=True)
 class Shot:
-    """A picture with the camera that took it.
+    """A picture with the camera that took it."""
 
-    Attributes:
-        camera: Truth.
-        rgba: (H, W, 4) uint8, straight alpha.
-    """
-
-    camera: Camera
-    rgba: np.ndarray
+    camera: Camera  # truth
+    rgba: np.ndarray  # (H, W, 4) uint8, straight alpha
 
 
 def look_at(position: np.ndarray, target: np.ndarray) -> np.ndarray:

@@ -17,8 +17,8 @@ from PIL import Image
 
 from robir.cli import main
 
+# a directory of tags that never ends
 BROKEN_EXIF = b"\xff\xe1\x00\x20Exif\0\0MM\0*\0\0\0\x08\xff\xff" + b"\xfe" * 14
-"""A directory of tags that never ends."""
 
 
 @pytest.fixture(scope="module")

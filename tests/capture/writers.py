@@ -14,8 +14,8 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
+# world transform that nerfstudio's converter applied, before a scale of 0.3
 APPLIED = np.array([[0.0, 1.0, 0.0, 0.2], [1.0, 0.0, 0.0, -4.0], [0.0, 0.0, -1.0, 1.5]])
-"""World transform that nerfstudio's converter applied, before a scale of 0.3."""
 
 
 def save_pictures(folder: Path, shots: Sequence[Shot], names: Sequence[str], alpha: bool) -> None:

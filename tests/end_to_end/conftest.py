@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+# a draft cut to half a CPU-minute, for a capture of 96x96 pixels
 SETTINGS = (
     "geometry.level_cells=[48, 80]",
     "geometry.level_steps=[150, 250]",
@@ -23,7 +24,6 @@ SETTINGS = (
     "export.render_samples=16",
     "export.render_max_side=96",
 )
-"""A draft cut to half a CPU-minute, for a capture of 96x96 pixels."""
 
 
 @dataclass(frozen=True)

@@ -25,15 +25,13 @@ ENGINE = Path(__file__).parents[1] / "addon" / "tiny_engine.py"
 SIDE = 1024
 HALF, DEPTH = 0.6, 0.2
 SIZE, FOCAL, DISTANCE = 200, 1.5, 2.4
+# width on the slab's top of a pixel of the camera straight above
 PIXEL = (DISTANCE - DEPTH) / (FOCAL * SIZE)
-"""Width on the slab's top of a pixel of the camera straight above."""
 
-PERIOD = 4.0 * PIXEL
-"""Half the frequency at which a pixel is half a wave."""
+PERIOD = 4.0 * PIXEL  # half the frequency at which a pixel is half a wave
 
 DARK, BRIGHT = 0.2, 0.7
-DENSITY = 0.16
-"""Of the texture's side, one unit of the slab: a little more than a texel a pixel."""
+DENSITY = 0.16  # of the texture's side, one unit of the slab: a little more than a texel a pixel
 
 
 def paint(points: np.ndarray) -> np.ndarray:

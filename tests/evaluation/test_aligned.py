@@ -18,12 +18,12 @@ from robir_bench.truth.aligned import align
 from robir_bench.truth.evaluate import evaluate
 from robir_bench.truth.files import load_truth
 
+# from the result's frame to that of the truth
 AWAY = Similarity(
     turn=Rotation.from_rotvec([0.5, -1.1, 0.7]).as_matrix(),
     scale=2.5,
     shift=np.array([3.0, -1.0, 0.4]),
 )
-"""From the result's frame to that of the truth."""
 
 
 def photographed(folder: Path) -> Path:

@@ -46,8 +46,7 @@ FILES = (
     "appearance/held_out_diffuse.npz",
     "appearance/held_out.npz",
 )
-GRAIN = 3.0
-"""Standard deviation of what `grainy` adds, codes."""
+GRAIN = 3.0  # standard deviation of what `grainy` adds, codes
 
 
 def grainy(picture):

@@ -12,8 +12,8 @@ from robir.evaluation.metrics import srgb_from_linear
 from robir_bench.truth.evaluate import evaluate, relit_picture
 from robir_bench.truth.files import load_truth
 
+# radiance of a white surface under the second light, which is even
 LIGHT = np.array([0.9, 0.5, 0.2])
-"""Radiance of a white surface under the second light, which is even."""
 
 
 @pytest.fixture(scope="module")

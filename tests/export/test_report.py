@@ -113,8 +113,8 @@ def test_the_viewer_looks_first_from_where_the_photograph_was_taken():
     assert np.array(towards) == pytest.approx(back, abs=5e-3)
 
 
+# what the viewer itself writes into the console; no fault
 NOTICES = ("RGBELoader has been deprecated", "GPU stall", "rAF timed out in updateSource")
-"""What the viewer itself writes into the console; no fault."""
 
 PROBE = """<script>
 setTimeout(async () => {

@@ -19,11 +19,10 @@ from robir.jobs.paths import JobPaths
 
 TILES = np.array([1001, 1003, 1011], np.int32)
 CORNERS = np.array([[0, 0], [2, 0], [0, 1]])
-SIDE = sphere_run.TEXELS
-"""Texels of a tile, as of the one texture of the sphere."""
+SIDE = sphere_run.TEXELS  # texels of a tile, as of the one texture of the sphere
 
+# albedo of the tiles, linear, one colour each
 SHADES = np.array([[0.6, 0.1, 0.1], [0.1, 0.6, 0.1], [0.1, 0.1, 0.6]])
-"""Albedo of the tiles, linear, one colour each."""
 
 
 def tiled_mesh() -> Mesh:

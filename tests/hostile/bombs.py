@@ -147,6 +147,7 @@ def _texts(generator: random.Random) -> bytes:
     return encoded("PNG", pnginfo=info)
 
 
+# each makes the bytes of one file
 MAKERS: dict[str, Make] = {
     "claims": lambda g: png(*g.choice(SIZES), depth=g.choice([1, 8, 16])),
     "blank": lambda g: blank_png(*g.choice(LARGE)),
@@ -168,4 +169,3 @@ MAKERS: dict[str, Make] = {
     "whole": lambda g: g.choice(WHOLE),
     "text": lambda g: g.choice(TEXTS),
 }  # fmt: skip
-"""Each makes the bytes of one file."""

@@ -9,16 +9,16 @@ import random
 from pathlib import Path
 from typing import Any
 
+# values in place of others; each once ended in something else than a refusal, or may
 NASTY: tuple[Any, ...] = (
     None, True, "", "x", [], {}, [[]], -1, 0, 1e308, 10**400, float("nan"), float("-inf"),
     "\ud800", "a\0b", "/", "/etc/passwd", "../../../../etc/passwd", "a" * 300, "²", "1_0", "٣",
     "..", [1, "a", None], "C:\\x\\y.png", "d/" * 3000, "a\nb", 2**63, ".png", [[0.0] * 4] * 500,
     "/dev/zero", "images/",
 )  # fmt: skip
-"""Values in place of others; each once ended in something else than a refusal, or may."""
 
+# contents in place of a whole file
 WHOLE = (b"", b"\0" * 4096, b"\xff" * 4096, b"{}", b"[]", b"12", b"[" * 100_000, b'"x"', b"PK\3\4")
-"""Contents in place of a whole file."""
 
 
 def flipped(content: bytes, generator: random.Random) -> bytes:

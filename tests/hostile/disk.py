@@ -26,48 +26,39 @@ from robir.specimen import write_specimen
 
 KINDS = ("full", "readonly", "write", "read", "gone")
 SHIM = Path(__file__).with_name("faulty_disk.c")
+# set in the process that has the library and, where possible, the namespace
 INSIDE = "ROBIR_FAULTY_DISK"
-"""Set in the process that has the library and, where possible, the namespace."""
 
+# sizes of a full disk, as shares of what the result takes
 SHARES = (0.0, 0.001, 0.01, 0.03, 0.1, 0.2, 0.4, 0.6, 0.8, 0.95)
-"""Sizes of a full disk, as shares of what the result takes."""
 
+# files of OUT after whose appearance the disk is read-only
 MOMENTS = (
     "run.json", "stages/capture/capture.json", "stages/geometry/mesh.npz",
     "stages/transport/stage.json", "stages/appearance/choices.json", "export/asset.glb",
     "export/light.json", "report/report.json",
 )  # fmt: skip
-"""Files of OUT after whose appearance the disk is read-only."""
 
+# names of files that cannot be written; the last two are Blender's
 WRITTEN = (
     "status", "run", "capture", "mesh", "bounce", "textures", "albedo", "environment", "asset",
     "light", "index", "config", "scene", "rerender_test_view_00",
 )  # fmt: skip
-"""Names of files that cannot be written; the last two are Blender's."""
 
+# files that cannot be read
 READ = ("train/view_03.png", "transforms_train.json", "geometry/mesh.npz", "capture/capture.json")
-"""Files that cannot be read."""
 
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One fault and what came of it.
+    """One fault and what came of it."""
 
-    Attributes:
-        name: Kind and place.
-        code: Exit code under the fault.
-        said: Last line of what was said.
-        is_clear: Whether it ended as an error of the disk or capture does, without a traceback.
-        resumed: Exit code once the disk was well again.
-        differing: Files that then differ from the unbroken result.
-    """
-
-    name: str
-    code: int
-    said: str
-    is_clear: bool
-    resumed: int
-    differing: tuple[str, ...]
+    name: str  # kind and place
+    code: int  # exit code under the fault
+    said: str  # last line of what was said
+    is_clear: bool  # whether it ended as an error of the disk or capture does, without a traceback
+    resumed: int  # exit code once the disk was well again
+    differing: tuple[str, ...]  # files that then differ from the unbroken result
 
 
 class Bench:

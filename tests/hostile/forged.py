@@ -28,11 +28,10 @@ from robir import cli
 from robir.jobs.paths import STAGES, JobPaths
 from robir.specimen import write_specimen
 
-CODES = (0, 1, 2, 3, 4, 5, 6)
-"""Every end that a command may come to by itself."""
+CODES = (0, 1, 2, 3, 4, 5, 6)  # every end that a command may come to by itself
 
+# the one program that these stages start: this Python, for charts of the texture
 UNWRAP = "robir.geometry.mesh.charts"
-"""The one program that these stages start: this Python, for charts of the texture."""
 
 
 @dataclass(frozen=True, slots=True)

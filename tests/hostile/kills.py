@@ -25,27 +25,18 @@ from hostile.tiny_run import begun, contents, ended, scenes, words
 from robir.jobs.paths import STAGES, JobPaths
 from robir.specimen import write_specimen
 
-KEEP = os.environ.get("ROBIR_KEEP", "")
-"""Folder for what differs; empty to throw it away."""
+KEEP = os.environ.get("ROBIR_KEEP", "")  # folder for what differs; empty to throw it away
 
 
 @dataclass(frozen=True, slots=True)
 class Kill:
-    """What became of a run that was killed.
+    """What became of a run that was killed."""
 
-    Attributes:
-        seconds: When it was killed.
-        stage: First stage that was not done then.
-        out: The result after it had gone on to its end.
-        code: Exit code of that end.
-        differing: Names of files that differ from the unbroken result.
-    """
-
-    seconds: float
-    stage: str
-    out: Path
-    code: int
-    differing: tuple[str, ...]
+    seconds: float  # when it was killed
+    stage: str  # first stage that was not done then
+    out: Path  # the result after it had gone on to its end
+    code: int  # exit code of that end
+    differing: tuple[str, ...]  # names of files that differ from the unbroken result
 
 
 class Range:

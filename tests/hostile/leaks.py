@@ -22,8 +22,7 @@ from hostile.tiny_run import words
 from robir import cli
 from robir.specimen import write_specimen
 
-MOST_GROWTH = 0.02
-"""Of the memory, between the second and the last quarter of the runs."""
+MOST_GROWTH = 0.02  # of the memory, between the second and the last quarter of the runs
 
 
 def resident_bytes() -> int:

@@ -25,6 +25,7 @@ from hostile.damage import NASTY, WHOLE, flipped, places, replaced
 Mutate = Callable[[Path, random.Random], None]
 
 _META = (1, 2, 6)
+# what writes a capture, and where its poses lie
 FORMATS: dict[str, tuple[Callable[..., Path], str]] = {
     "nerf_synthetic": (writers.nerf_synthetic, "transforms_train.json"),
     "nerfstudio": (writers.nerfstudio, "transforms.json"),
@@ -38,15 +39,14 @@ FORMATS: dict[str, tuple[Callable[..., Path], str]] = {
     "metashape": (app_writers.metashape, "cameras.xml"),
     "meshroom": (partial(app_writers.meshroom, version=_META), "cameras.sfm"),
 }
-"""What writes a capture, and where its poses lie."""
 
+# words in place of words of a text file
 TOKENS = (
     "", "nan", "inf", "-inf", "1e999", "-1e308", "1" * 400, "²", "٣", "1_000", "0x10", "x", "-",
     "\0", "\ud800", "/", "../../../../etc/passwd", "/dev/zero", "a" * 300, '"', "'", "<", "&x;",
     "]]>", ",,,", "\ufeff", "\u202e", "\r", "1,5", "18446744073709551616", "-9223372036854775809",
     "True", "None",
 )  # fmt: skip
-"""Words in place of words of a text file."""
 
 NAMES = (
     b"\xff\xfe.png", b"a\nb.png", b"-rf.png", b"$(touch x).png", b"a;b.png", b"\xe2\x80\xae.png",
@@ -74,19 +74,12 @@ SPECIAL: dict[str, Callable[[Path], object]] = {
 
 @dataclass(frozen=True, slots=True)
 class Mutant:
-    """One case.
+    """One case."""
 
-    Attributes:
-        name: Format, kind and number.
-        form: Key of `FORMATS`.
-        mutate: Changes a fresh capture.
-        seed: Of its generator.
-    """
-
-    name: str
-    form: str
-    mutate: Mutate
-    seed: str
+    name: str  # format, kind and number
+    form: str  # key of `FORMATS`
+    mutate: Mutate  # changes a fresh capture
+    seed: str  # of its generator
 
     def make(self, whole: Path, folder: Path) -> Path:
         """Write it from a whole capture; its root."""

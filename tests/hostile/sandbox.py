@@ -22,8 +22,8 @@ from typing import Any
 
 MAX_SECONDS = 15.0
 MAX_BYTES = 2_000_000_000
+# seconds of the clock after which a call counts as hung, whatever else the machine does
 _PATIENCE = 60.0
-"""Seconds of the clock after which a call counts as hung, whatever else the machine does."""
 
 _PROGRAMS = ("subprocess.Popen", "os.exec", "os.posix_spawn", "os.system", "os.fork")
 _CHANGES = (
@@ -36,21 +36,13 @@ _BUG = 99
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What a call did.
+    """What a call did."""
 
-    Attributes:
-        code: Exit code.
-        seconds: Processor time.
-        peak_bytes: Largest resident size.
-        said: What it printed.
-        faults: Promises that it broke, as words; empty for a good one.
-    """
-
-    code: int
-    seconds: float
-    peak_bytes: int
-    said: str
-    faults: tuple[str, ...]
+    code: int  # exit code
+    seconds: float  # processor time
+    peak_bytes: int  # largest resident size
+    said: str  # what it printed
+    faults: tuple[str, ...]  # promises that it broke, as words; empty for a good one
 
 
 def tried(

@@ -26,12 +26,11 @@ from robir.jobs.paths import JobPaths
 from robir.pipeline.runner import load_stages
 from robir.specimen import write_specimen
 
+# what is done with a library; a task of an empty capture ends at once
 ACTS = (["--page"], ["--resume", "--on", "openjd"], ["--task", "0"])
-"""What is done with a library; a task of an empty capture ends at once."""
 
 ENDS = (*CODES, 130)
-BLENDER = "robir_addon.headless"
-"""The one program that lighting a scene anew starts."""
+BLENDER = "robir_addon.headless"  # the one program that lighting a scene anew starts
 
 
 def libraries(folder: Path, seed: int, count: int) -> Iterator[tuple[str, Outcome]]:

@@ -41,8 +41,8 @@ from robir.pipeline.ledger import stage_state
 
 Target = Callable[[bytes], None]
 
+# files that once ended in a crash, in a folder for each target; they stay
 CRASHES = Path(__file__).with_name("crashes")
-"""Files that once ended in a crash, in a folder for each target; they stay."""
 
 _POSES = {
     "nerf_synthetic": (writers.nerf_synthetic, "transforms_train.json"),
@@ -71,8 +71,8 @@ _POSES = {
     "arkit": (program_writers.arkit, "frame_00000.json"),
     "splats": (program_writers.splats, "cameras.json"),
 }
+# targets that are meshes, with the suffix of each
 MESHES = {f"mesh_{suffix[1:]}": suffix for suffix in SUFFIXES}
-"""Targets that are meshes, with the suffix of each."""
 
 _PICTURES = ("PNG", "JPEG", "TIFF", "BMP", "WEBP")
 

@@ -13,8 +13,7 @@ from hostile.targets import _POSES, MESHES, Targets
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-SECONDS = 0.7
-"""For each target; all of them stay below a minute."""
+SECONDS = 0.7  # for each target; all of them stay below a minute
 
 NAMES = (*_POSES, *("image", "status", "worker", "worker_log", "run", "manifest"))
 NAMES += ("capture_json", "arrays", *MESHES, "plan_toml", "plan_json", "batch_json")

@@ -22,8 +22,8 @@ CORNERS = np.array([[0, 0, 0], [2, 0, 0], [0, 3, 0], [0, 0, 5]], "<f4")
 FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], "<u2")
 UVS = np.array([[0, 0], [1, 0], [0, 1], [1, 1]], "<f4")
 
+# what a sentence of ours never holds
 PYTHON = re.compile(r"Error\b|index out of range|unsupported operand|gufunc|NoneType|KeyError|\(\)")
-"""What a sentence of ours never holds."""
 
 
 def packed(document: dict, binary: bytes = b"") -> bytes:

@@ -22,14 +22,14 @@ from robir.jobs.paths import JobPaths
 from robir.pipeline.runner import load_stages
 from robir.specimen import SETTINGS
 
+# the least that Blender can be asked for
 RENDERS = ("export.render_views=1", "export.render_samples=2", "export.render_max_side=32")
-"""The least that Blender can be asked for."""
 
+# no good result is needed, only one that is the same every time
 LEAST = (
     "geometry.level_steps=[40]", 'appearance.families=["standard"]', "appearance.iterations=20",
     "appearance.texture_size=64", "transport.num_directions=64",
 )  # fmt: skip
-"""No good result is needed, only one that is the same every time."""
 
 _COSTS = re.compile(r"(.*_)?(seconds|peak_memory_bytes|heartbeat|pid)|threads")
 _TIMES = re.compile(
@@ -38,10 +38,10 @@ _TIMES = re.compile(
     r'|<td class="n">[\d.]+</td>(?=<td class="n">[\d.]+</td>)'
     r'|<td class="n">[\d.]+</td>(?=<td>)|width:[\d.]+%'
 )
+# files that tell how the result came about, or show it halfway
 _HISTORY = (
     "events.jsonl", "log.txt", "worker.json", "worker.log", "preview.png", "growing.npz",
 )  # fmt: skip
-"""Files that tell how the result came about, or show it halfway."""
 
 
 def words(capture: Path, out: Path, *, has_renders: bool) -> list[str]:

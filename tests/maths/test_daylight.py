@@ -7,10 +7,10 @@ import torch
 
 from robir.maths.daylight import PART, SUN, WHOLE, HueSpread, hue
 
+# IEC 61966-2-1
 REC709_FROM_XYZ = np.array(
     [[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]]
 )
-"""IEC 61966-2-1."""
 
 
 def daylight(kelvin: float) -> torch.Tensor:

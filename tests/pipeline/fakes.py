@@ -32,22 +32,14 @@ def nothing(_context: StageContext[Any]) -> None:
 
 @dataclass
 class FakeStage:
-    """Stands for the module `robir.<name>.stage`.
+    """Stands for the module `robir.<name>.stage`."""
 
-    Attributes:
-        name: Stage.
-        pause: Seconds before each file.
-        mischief: Called in the middle of the stage.
-        calls: How often the stage ran.
-        metrics: What its manifest says beside a mean.
-    """
-
-    name: str
-    pause: float = 0.0
-    mischief: Callable[[StageContext[Any]], Any] = nothing
+    name: str  # stage
+    pause: float = 0.0  # seconds before each file
+    mischief: Callable[[StageContext[Any]], Any] = nothing  # called in the middle of the stage
     REVISION: int = 1
-    calls: int = field(default=0)
-    metrics: Mapping[str, Any] = field(default_factory=dict)
+    calls: int = field(default=0)  # how often the stage ran
+    metrics: Mapping[str, Any] = field(default_factory=dict)  # what its manifest says beside a mean
 
     def run(self, context: StageContext[Any]) -> Mapping[str, Any]:
         """Write arrays that depend on all that a stage may depend on."""

@@ -31,6 +31,7 @@ pytestmark = [pytest.mark.blender, pytest.mark.slow]
 
 ROOT = Path(__file__).parents[2]
 
+# the command with the last rows of its table changed: seconds instead of minutes
 TINY = """
 import sys
 from blender_scenes.population import command, photo_ranges as table
@@ -40,7 +41,6 @@ for seed in sys.argv[2:]:
     if code := command.main(words):
         sys.exit(code)
 """
-"""The command with the last rows of its table changed: seconds instead of minutes."""
 
 
 def run(out: Path, *seeds: int) -> str:

@@ -20,6 +20,7 @@ pytestmark = pytest.mark.blender
 
 ROOT = Path(__file__).parents[2]
 
+# the command with the last rows of its table changed: seconds instead of minutes
 TINY = """
 import sys
 from blender_scenes.population import command, ranges
@@ -31,7 +32,6 @@ for seed in sys.argv[2:]:
     if code := command.main([sys.argv[1], "--count", "1", "--seed", seed]):
         sys.exit(code)
 """
-"""The command with the last rows of its table changed: seconds instead of minutes."""
 
 
 def run(out: Path, *seeds: int) -> subprocess.CompletedProcess:

@@ -9,12 +9,12 @@ from blender_scenes.view_transform import (
     display_from_linear,
 )
 
+# linear grey -> display value of a Cycles picture written by Blender 4.5
 BLENDER = {
     "Filmic": {0.01: 0.1011, 0.18: 0.5002, 1.0: 0.8072, 8.0: 0.9832},
     "AgX": {0.18: 0.4613, 1.0: 0.7710},
     "Khronos PBR Neutral": {0.18: 0.4113, 1.0: 0.9364},
 }
-"""Linear grey -> display value of a Cycles picture written by Blender 4.5."""
 
 
 def grey(value: float) -> np.ndarray:

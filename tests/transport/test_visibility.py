@@ -104,12 +104,12 @@ def half_plane(degrees: float) -> EmbreeTracer:
     return EmbreeTracer(mesh.vertices, mesh.faces)
 
 
+# share of a lobe's energy that passes an edge so many degrees past its axis
 RATIOS = {
     (10, 5): 0.395, (10, 10): 0.298, (10, 20): 0.146,
     (30, 5): 0.318, (30, 10): 0.173,
     (100, 5): 0.192,
 }  # fmt: skip
-"""Share of a lobe's energy that passes an edge so many degrees past its axis."""
 
 
 @pytest.mark.parametrize(("sharpness", "degrees"), list(RATIOS))

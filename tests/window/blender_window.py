@@ -16,18 +16,16 @@ from typing import Any, ClassVar
 from window.screen import HEIGHT, WIDTH, Screen
 
 TAB = "RobIR"
-STEP = 14
-"""Pixels between two places where the sidebar is probed; its lowest rows are 18 high."""
+STEP = 14  # pixels between two places where the sidebar is probed; its lowest rows are 18 high
 
+# where across the sidebar it is probed: fields, names of fields, the small buttons of a row
 COLUMNS = (0.55, 0.3, 0.93, 0.85, 0.77)
-"""Where across the sidebar it is probed: fields, names of fields, the small buttons of a row."""
 
-SCROLL = 40
-"""Notches of the wheel that bring the sidebar from one end to the other."""
+SCROLL = 40  # notches of the wheel that bring the sidebar from one end to the other
 
-PATIENCE = 300.0
-"""Seconds that Blender may take over what a processor draws."""
+PATIENCE = 300.0  # seconds that Blender may take over what a processor draws
 
+# what lies under the mouse: the Python of its operator, or the path of its property
 PROBE = """
 manager = bpy.context.window_manager
 area = next(a for a in window.screen.areas if a.type == "VIEW_3D")
@@ -40,7 +38,6 @@ with bpy.context.temp_override(window=window, area=area, region=region):
         bpy.ops.ui.copy_data_path_button(full_path=True)
 answer = manager.clipboard
 """
-"""What lies under the mouse: the Python of its operator, or the path of its property."""
 
 
 @dataclass(frozen=True)
@@ -64,8 +61,8 @@ class BlenderWindow:
         pictures: folder of the screenshots; what Blender prints goes into blender.log beside it.
     """
 
+    # where controls were found in this or an earlier window: it is looked there first
     _found: ClassVar[dict[str, Place]] = {}
-    """Where controls were found in this or an earlier window: it is looked there first."""
 
     def __init__(self, screen: Screen, home: Path, pictures: Path) -> None:
         self.screen = screen

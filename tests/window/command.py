@@ -9,6 +9,7 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+# a draft cut to a third of a CPU-minute
 SETTINGS = (
     "geometry.level_cells=[48, 80]",
     "geometry.level_steps=[100, 150]",
@@ -20,11 +21,10 @@ SETTINGS = (
     "export.render_samples=8",
     "export.render_max_side=64",
 )
-"""A draft cut to a third of a CPU-minute."""
 
 
+# the same for what comes after the shape, at whose fit somebody may look for a minute
 AFTER_THE_SHAPE = tuple(setting for setting in SETTINGS if not setting.startswith("geometry."))
-"""The same for what comes after the shape, at whose fit somebody may look for a minute."""
 
 
 def small_engine(folder: Path, settings: tuple[str, ...] = SETTINGS) -> Path:
@@ -43,15 +43,10 @@ exec '{sys.executable}' "$@"
 
 @dataclass(frozen=True)
 class Finished:
-    """A reconstruction by Blender's command line.
+    """A reconstruction by Blender's command line."""
 
-    Attributes:
-        done: The process.
-        out: The result folder.
-    """
-
-    done: subprocess.CompletedProcess[str]
-    out: Path
+    done: subprocess.CompletedProcess[str]  # the process
+    out: Path  # the result folder
 
 
 def blender(home: Path, *words: str | Path) -> subprocess.CompletedProcess[str]:

@@ -17,8 +17,8 @@ from window.command import Finished, blender, reconstruct
 from window.screen import Screen
 
 ROOT = Path(__file__).resolve().parents[2]
+# kept after the tests: the add-on's zip in `dist`, screenshots in `pictures`
 BUILD = ROOT / "build" / "window"
-"""Kept after the tests: the add-on's zip in `dist`, screenshots in `pictures`."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -14,11 +14,9 @@ from texts_session import registered  # taken out before it runs
 
 MODULE = "bl_ext.user_default.robir"
 SAID = ("message", "error", "error_cure", "recognised", "engine_text")
-ROOM = 240.0
-"""Points of a line in a narrow sidebar, as in recording.py."""
+ROOM = 240.0  # points of a line in a narrow sidebar, as in recording.py
 
-WIDE = set()
-"""Labels and buttons that would be cut off; sentences are broken into lines."""
+WIDE = set()  # labels and buttons that would be cut off; sentences are broken into lines
 
 TRANSLATED = ("label", "operator", "operator_menu_enum", "prop", "progress", "menu")
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from window.blender_window import BlenderWindow
 
+# where a thing lies in the viewport, and where the sidebar begins
 IN_VIEW = """
 from bpy_extras.view3d_utils import location_3d_to_region_2d as project
 from mathutils import Vector
@@ -21,7 +22,6 @@ seen = [project(whole, area.spaces.active.region_3d, thing.matrix_world @ c) for
 answer = [min(p.x for p in seen), max(p.x for p in seen), side.x - whole.x,
           min(p.y for p in seen), max(p.y for p in seen), whole.height]
 """
-"""Where a thing lies in the viewport, and where the sidebar begins."""
 
 
 def check_in_view(window: BlenderWindow, thing: str) -> None:

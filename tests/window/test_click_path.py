@@ -24,9 +24,9 @@ from window.sight import check_in_view
 
 pytestmark = pytest.mark.slow
 
+# seconds that the viewport may stand still while the worker runs, if strangers leave the machine
+# alone; it is drawn by the processor, and that takes the longer the less of it there is
 LONGEST_GAP = 1.0
-"""Seconds that the viewport may stand still while the worker runs, if strangers leave the machine
-alone; it is drawn by the processor, and that takes the longer the less of it there is."""
 
 STATE = "bpy.context.window_manager.robir"
 SETTINGS = "bpy.context.scene.robir"

@@ -23,13 +23,13 @@ def _rests_on_the_view(window: BlenderWindow) -> None:
     time.sleep(0.4)
 
 
+# what F3 does; a virtual keyboard has no such key
 OPEN = """
 area = next(a for a in window.screen.areas if a.type == "VIEW_3D")
 region = next(r for r in area.regions if r.type == "WINDOW")
 with bpy.context.temp_override(window=window, area=area, region=region):
     bpy.ops.wm.search_menu("INVOKE_DEFAULT")
 """
-"""What F3 does; a virtual keyboard has no such key."""
 
 
 def search(window: BlenderWindow, words: str) -> None:

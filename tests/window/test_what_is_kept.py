@@ -21,6 +21,7 @@ STATE = "bpy.context.window_manager.robir"
 SETTINGS = "bpy.context.scene.robir"
 OBJECT = "next(o for o in bpy.data.objects if o.type == 'MESH' and o.name != 'Cube')"
 
+# two faces of a thing that are seen: their pixels on the screen, and their points
 SEEN_FACES = """
 from bpy_extras import view3d_utils
 from mathutils import Vector
@@ -50,7 +51,6 @@ answer = [
     [list(point) for point in found],
 ]
 """
-"""Two faces of a thing that are seen: their pixels on the screen, and their points."""
 
 
 @pytest.fixture(scope="module")

@@ -16,8 +16,7 @@ from robir_bench.truth.scores import ALBEDO, RAW_ALBEDO, RELIT, RERENDER, Score
 
 Classes = Mapping[str, Mapping[str, str]]
 
-FIGURES = (ALBEDO, RAW_ALBEDO, RERENDER, RELIT)
-"""By which an error's cost is told."""
+FIGURES = (ALBEDO, RAW_ALBEDO, RERENDER, RELIT)  # by which an error's cost is told
 
 
 def method_of(name: str) -> str:

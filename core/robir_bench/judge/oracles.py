@@ -45,26 +45,20 @@ from robir_bench.truth.light import level_and_hue, true_curve
 
 Floats = NDArray[np.float32]
 
+# quantities that can be told, each on its own
 ORACLES = ("family", "sun", "level", "metal", "roughness", "normals", "surface", "light")
-"""Quantities that can be told, each on its own."""
 
-_REACH = 0.02
-"""Distance, unit frame, up to which a pixel of a test view tells of a sample."""
+_REACH = 0.02  # distance, unit frame, up to which a pixel of a test view tells of a sample
 
-_FACING = 0.5
-"""Cosine between their normals from which it does."""
+_FACING = 0.5  # cosine between their normals from which it does
 
-_SPOT = 5.0
-"""Degrees about the sun's direction that belong to a sun in the map."""
+_SPOT = 5.0  # degrees about the sun's direction that belong to a sun in the map
 
-_ROWS = 32
-"""Rows of the map by which the sky's lobes are fitted."""
+_ROWS = 32  # rows of the map by which the sky's lobes are fitted
 
-_CERTAIN = 0.01
-"""Error of a level that is told, natural logarithm."""
+_CERTAIN = 0.01  # error of a level that is told, natural logarithm
 
-_LEAST_RADIUS = 0.5
-"""Least radius of a sun, degrees."""
+_LEAST_RADIUS = 0.5  # least radius of a sun, degrees
 
 
 def settings_of(name: str, capture: Path) -> tuple[str, ...]:
@@ -98,21 +92,13 @@ def is_set_after_step(name: str) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class _Known:
-    """What test views show of the surface, unit frame.
+    """What test views show of the surface, unit frame."""
 
-    Attributes:
-        tree: Of the points.
-        normal: (N, 3).
-        albedo: (N, 3) linear Rec.709.
-        roughness: (N,).
-        metallic: (N,) share of the pixel.
-    """
-
-    tree: cKDTree
-    normal: Floats
-    albedo: Floats
-    roughness: Floats
-    metallic: Floats
+    tree: cKDTree  # of the points
+    normal: Floats  # (N, 3)
+    albedo: Floats  # (N, 3) linear Rec.709
+    roughness: Floats  # (N,)
+    metallic: Floats  # (N,) share of the pixel
 
     @classmethod
     def of(cls, truth: Truth, unit: Callable[[Floats], Floats]) -> _Known:
@@ -296,6 +282,7 @@ class Oracle:
         )
 
 
+# steps after which a quantity is put right
 _CORRECTIONS: dict[str, tuple[str, ...]] = {
     "level": ("level",),
     "metal": ("gloss",),
@@ -303,7 +290,6 @@ _CORRECTIONS: dict[str, tuple[str, ...]] = {
     "normals": ("smooth-normals",),
     "light": ("every-sample", "refit"),
 }
-"""Steps after which a quantity is put right."""
 
 
 def corrections(name: str, oracle: Oracle) -> dict[str, Correction]:

@@ -34,6 +34,7 @@ from robir_bench.truth.scores import (
 
 FORMAT_VERSION = 1
 
+# what is kept, by the name in the file
 FIGURES: dict[str, Score] = {
     "albedo_db": ALBEDO,
     "raw_albedo_db": RAW_ALBEDO,
@@ -47,7 +48,6 @@ FIGURES: dict[str, Score] = {
     "rerender_db": RERENDER,
     "cpu_seconds": SECONDS,
 }
-"""What is kept, by the name in the file."""
 
 
 def keep(

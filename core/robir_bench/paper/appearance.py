@@ -36,13 +36,9 @@ _CHUNK = 256
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sky:
-    """Directions at which visibility is known, in place of samples about every lobe.
+    """Directions at which visibility is known, in place of samples about every lobe."""
 
-    Attributes:
-        directions: (D, 3), evenly spread.
-    """
-
-    directions: Tensor
+    directions: Tensor  # (D, 3), evenly spread
 
     @classmethod
     def spread(cls, count: int) -> Sky:
@@ -66,20 +62,13 @@ class Sky:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Model:
-    """All that PBR and CESR learn.
+    """All that PBR and CESR learn."""
 
-    Attributes:
-        material: Albedo and roughness.
-        light: Environment.
-        surface: F0.
-        tone: Tone curve.
-        ratio: Visibility ratios, or None where those of the visibility network hold.
-    """
-
-    material: MaterialNetwork
-    light: EnvironmentLight
-    surface: Surface
-    tone: AbstractTone
+    material: MaterialNetwork  # albedo and roughness
+    light: EnvironmentLight  # environment
+    surface: Surface  # f0
+    tone: AbstractTone  # tone curve
+    # visibility ratios, or None where those of the visibility network hold
     ratio: RatioNetwork | None
 
     def lights(self) -> list[nn.Parameter]:

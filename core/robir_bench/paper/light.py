@@ -11,8 +11,7 @@ from torch import Tensor, nn
 from robir.maths.spherical_gaussian import SphericalGaussians, unit_integral
 from robir.maths.vectors import fibonacci_sphere, normalise
 
-START_ENERGY = 1.6 * math.pi
-"""Integral of the light over the sphere at the start, per channel."""
+START_ENERGY = 1.6 * math.pi  # integral of the light over the sphere at the start, per channel
 
 
 class EnvironmentLight(nn.Module):

@@ -8,11 +8,9 @@ from torch import Tensor
 
 from robir_bench.paper.networks import MaterialNetwork
 
-SPARSITY = 0.05
-"""Wanted mean of every entry of a code."""
+SPARSITY = 0.05  # wanted mean of every entry of a code
 
-RESIDUAL = 0.01
-"""Wanted mean residual of every lobe's visibility ratio."""
+RESIDUAL = 0.01  # wanted mean residual of every lobe's visibility ratio
 
 _CODE_NOISE = 0.01
 _ROUGHNESS_SHARE = 0.2

@@ -16,11 +16,9 @@ from torch.nn.utils.parametrizations import weight_norm
 
 from robir.maths.spherical_gaussian import SphericalGaussians
 
-ENCODING_VARIANCE = 1e-5
-"""Variance of the Gaussian that integrated encodings average over."""
+ENCODING_VARIANCE = 1e-5  # variance of the Gaussian that integrated encodings average over
 
-START_RADIUS = 0.5
-"""Radius of the sphere the distance network starts from."""
+START_RADIUS = 0.5  # radius of the sphere the distance network starts from
 
 _OCTAVES = 10
 _VIEW_OCTAVES = 4

@@ -24,8 +24,7 @@ from robir.maths import volume
 from robir_bench.paper.config import NeusConfig
 from robir_bench.paper.networks import RadianceNetwork, SdfNetwork
 
-SPHERE = 1.05
-"""Radius within which the scene lies; rays are sampled inside it."""
+SPHERE = 1.05  # radius within which the scene lies; rays are sampled inside it
 
 EIKONAL_WEIGHT = 0.1
 MASK_WEIGHT = 1.0
@@ -79,17 +78,11 @@ class PhotoRays:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Neus:
-    """A fitted field.
+    """A fitted field."""
 
-    Attributes:
-        sdf: Signed distance and feature.
-        colour: Display codes from position, ray, normal and feature.
-        log_steepness: Tenth of the logarithm of the opacity's steepness, ().
-    """
-
-    sdf: SdfNetwork
-    colour: RadianceNetwork
-    log_steepness: nn.Parameter
+    sdf: SdfNetwork  # signed distance and feature
+    colour: RadianceNetwork  # display codes from position, ray, normal and feature
+    log_steepness: nn.Parameter  # tenth of the logarithm of the opacity's steepness, ()
 
     @classmethod
     def start(cls, config: NeusConfig) -> Neus:

@@ -42,11 +42,9 @@ from robir_bench.paper.transport import (
     surface_hits,
 )
 
-SHARP = 10.0
-"""Sharpness from which a lobe counts as a lamp, for the score of the sun's direction."""
+SHARP = 10.0  # sharpness from which a lobe counts as a lamp, for the score of the sun's direction
 
-HELD_OUT_SIDE = 80
-"""Longest side of re-rendered held-out views, pixels."""
+HELD_OUT_SIDE = 80  # longest side of re-rendered held-out views, pixels
 
 _NETWORKS = "networks.npz"
 _CHUNK = 1 << 14
@@ -55,21 +53,13 @@ _RAY_OFFSET = 0.004
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PaperRun:
-    """What every stage is given.
+    """What every stage is given."""
 
-    Attributes:
-        paths: Result folder.
-        capture: In the unit frame.
-        config: The schedule.
-        variant: The method.
-        seed: Of every random choice.
-    """
-
-    paths: JobPaths
-    capture: Capture
-    config: PaperConfig
-    variant: Variant
-    seed: int
+    paths: JobPaths  # result folder
+    capture: Capture  # in the unit frame
+    config: PaperConfig  # the schedule
+    variant: Variant  # the method
+    seed: int  # of every random choice
 
     def begin(self) -> torch.Generator:
         """Seed torch, whose own generator starts the networks, and give another for all else."""

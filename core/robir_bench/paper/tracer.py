@@ -38,17 +38,11 @@ def on_lattice(sdf: SdfNetwork, cells: int) -> Sampled:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FieldTracer:
-    """Traces a field known at nodes, to first order about the nearest node.
+    """Traces a field known at nodes, to first order about the nearest node."""
 
-    Attributes:
-        lattice: Nodes.
-        values: (N,), distances.
-        gradient: (N, 3).
-    """
-
-    lattice: Lattice
-    values: Tensor
-    gradient: Tensor
+    lattice: Lattice  # nodes
+    values: Tensor  # (N,), distances
+    gradient: Tensor  # (N, 3)
 
     @classmethod
     def of(cls, lattice: Lattice, values: Tensor) -> FieldTracer:

@@ -23,23 +23,17 @@ from robir_bench.paper.neus import Neus, PhotoRays
 from robir_bench.paper.tone import AbstractTone, gamma_of
 from robir_bench.paper.tracer import FieldTracer
 
+# standard deviation of what is added to encoded positions where normals shall be smooth
 ENCODING_NOISE = 0.02
-"""Standard deviation of what is added to encoded positions where normals shall be smooth."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TransportNetworks:
-    """What the light does at a point.
+    """What the light does at a point."""
 
-    Attributes:
-        normals: Smooth normals.
-        visibility: Of the environment.
-        indirect: Light of other surfaces.
-    """
-
-    normals: NormalNetwork
-    visibility: VisibilityNetwork
-    indirect: IndirectNetwork
+    normals: NormalNetwork  # smooth normals
+    visibility: VisibilityNetwork  # of the environment
+    indirect: IndirectNetwork  # light of other surfaces
 
     @classmethod
     def start(cls, config: PaperConfig) -> TransportNetworks:
@@ -83,19 +77,12 @@ def fit_normals(network: NormalNetwork, mesh: Mesh, config: PaperConfig, seed: i
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SeenPoints:
-    """Surface points that pixels show.
+    """Surface points that pixels show."""
 
-    Attributes:
-        points: (P, 3).
-        normals: (P, 3), unit.
-        to_camera: (P, 3), unit.
-        display: (P, 3), codes in [0, 1].
-    """
-
-    points: Tensor
-    normals: Tensor
-    to_camera: Tensor
-    display: Tensor
+    points: Tensor  # (P, 3)
+    normals: Tensor  # (P, 3), unit
+    to_camera: Tensor  # (P, 3), unit
+    display: Tensor  # (P, 3), codes in [0, 1]
 
     def rows(self, index: Tensor | slice) -> SeenPoints:
         """Some of the points."""

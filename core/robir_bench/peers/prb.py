@@ -42,8 +42,8 @@ from robir_bench.truth.files import load_truth
 
 Floats = NDArray[np.floating[Any]]
 
+# irradiance of the sky over that of a given sun, before anything is known of the sky
 _SKY_TO_SUN = 0.25
-"""Irradiance of the sky over that of a given sun, before anything is known of the sky."""
 
 _LOBE_ROWS = 16
 _HELD_OUT_SAMPLES = 256
@@ -51,15 +51,10 @@ _HELD_OUT_SAMPLES = 256
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Known:
-    """What the fit need not find out.
+    """What the fit need not find out."""
 
-    Attributes:
-        curve: Tone curve of the photographs.
-        sun: Radiance (rows, 2 rows, 3) of the sun that the light starts from, or None.
-    """
-
-    curve: AbstractToneCurve
-    sun: Floats | None
+    curve: AbstractToneCurve  # tone curve of the photographs
+    sun: Floats | None  # radiance (rows, 2 rows, 3) of the sun that the light starts from, or None
 
 
 def traced_appearance(paths: JobPaths, seed: int, truth: Path | None) -> dict[str, Any]:

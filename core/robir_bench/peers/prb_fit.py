@@ -33,42 +33,27 @@ _ROUGHNESS_RANGE = (0.08, 1.0)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PrbConfig:
-    """How the fit is done.
+    """How the fit is done."""
 
-    Attributes:
-        steps: Adam steps.
-        light_steps: The first of them, which leave the material alone: a sun that has not been
-            found when the texture begins to take on shadows is not found at all.
-        batch: Pixels a step, a multiple of 64.
-        samples: Light paths a pixel and step.
-        max_depth: Longest light path, segments from the camera on: 3 has one bounce.
-        texture_size: Side of the textures, texels.
-        light_rows: Rows of the environment map.
-        albedo_rate: First learning rate of base colours.
-        roughness_rate: First learning rate of roughness.
-        light_rate: First learning rate of the logarithm of radiance.
-        last_rate: Learning rates in the end, over the first ones.
-        albedo_smoothness: Weight of the total variation of base colour.
-        roughness_smoothness: Weight of the total variation of roughness.
-        light_smoothness: Weight of the total variation of log radiance.
-    """
-
-    steps: int = 600
+    steps: int = 600  # Adam steps
+    # the first of them, which leave the material alone: a sun that has not been found when the
+    # texture begins to take on shadows is not found at all
     light_steps: int = 200
-    batch: int = 4096
-    samples: int = 8
-    max_depth: int = 3
-    texture_size: int = 256
-    light_rows: int = 64
-    albedo_rate: float = 0.02
-    roughness_rate: float = 0.05
-    light_rate: float = 0.1
-    last_rate: float = 0.1
-    albedo_smoothness: float = 0.1
-    roughness_smoothness: float = 0.02
-    light_smoothness: float = 0.002
+    batch: int = 4096  # pixels a step, a multiple of 64
+    samples: int = 8  # light paths a pixel and step
+    max_depth: int = 3  # longest light path, segments from the camera on: 3 has one bounce
+    texture_size: int = 256  # side of the textures, texels
+    light_rows: int = 64  # rows of the environment map
+    albedo_rate: float = 0.02  # first learning rate of base colours
+    roughness_rate: float = 0.05  # first learning rate of roughness
+    light_rate: float = 0.1  # first learning rate of the logarithm of radiance
+    last_rate: float = 0.1  # learning rates in the end, over the first ones
+    albedo_smoothness: float = 0.1  # weight of the total variation of base colour
+    roughness_smoothness: float = 0.02  # weight of the total variation of roughness
+    light_smoothness: float = 0.002  # weight of the total variation of log radiance
 
 
+# For a light that starts from the sun. Both were tuned on one capture, a cow on a plain disc.
 WITH_SUN = PrbConfig(
     steps=400,
     light_steps=60,
@@ -76,35 +61,23 @@ WITH_SUN = PrbConfig(
     albedo_smoothness=0.03,
     light_smoothness=0.001,
 )
-"""For a light that starts from the sun. Both were tuned on one capture, a cow on a plain disc."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Observed:
-    """Pixels of photographs that are fitted.
+    """Pixels of photographs that are fitted."""
 
-    Attributes:
-        pixels: Where they are.
-        display: (N, 3) their values, display codes 0..1.
-    """
-
-    pixels: ImagePoints
-    display: Tensor
+    pixels: ImagePoints  # where they are
+    display: Tensor  # (N, 3) their values, display codes 0..1
 
 
 @dataclass(slots=True, kw_only=True)
 class Material:
-    """What is optimised.
+    """What is optimised."""
 
-    Attributes:
-        base: (T, T, 3) base colour, linear Rec.709, row 0 is v = 1.
-        roughness: (T, T, 1), perceptual.
-        log_radiance: (H, 2H, 3) natural logarithm of the light's radiance.
-    """
-
-    base: Tensor
-    roughness: Tensor
-    log_radiance: Tensor
+    base: Tensor  # (T, T, 3) base colour, linear Rec.709, row 0 is v = 1
+    roughness: Tensor  # (T, T, 1), perceptual
+    log_radiance: Tensor  # (H, 2H, 3) natural logarithm of the light's radiance
 
 
 def photo_loss(linear: Tensor, display: Tensor, curve: AbstractToneCurve) -> Tensor:

@@ -26,20 +26,19 @@ Floats = NDArray[np.floating[Any]]
 
 VARIANT = "llvm_ad_rgb"
 
-OLDEST_LLVM = 17
-"""Dr.Jit 1.5 emits an instruction that 15 lacks, which ends the process; 19 works."""
+OLDEST_LLVM = 17  # dr.Jit 1.5 emits an instruction that 15 lacks, which ends the process; 19 works
 
 LLVM_HELP = (
     f"it needs LLVM {OLDEST_LLVM} or newer; on Debian or Ubuntu: sudo apt-get install libllvm19, "
     "and where an older one is found first, set DRJIT_LIBLLVM_PATH to the new libLLVM.so"
 )
 
+# mitsuba's names of what is optimised
 BASE, ROUGHNESS, LIGHT = (
     "surface.bsdf.brdf_0.base_color.data",
     "surface.bsdf.brdf_0.roughness.data",
     "light.data",
 )
-"""Mitsuba's names of what is optimised."""
 
 _FILM_WIDTH = 64
 
@@ -79,17 +78,11 @@ def load_drjit() -> Any:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImagePoints:
-    """Image points of some cameras.
+    """Image points of some cameras."""
 
-    Attributes:
-        view: (N,) index of the camera.
-        column: (N,) whole pixels from the left.
-        row: (N,) whole pixels from the top.
-    """
-
-    view: NDArray[np.integer[Any]]
-    column: NDArray[np.integer[Any]]
-    row: NDArray[np.integer[Any]]
+    view: NDArray[np.integer[Any]]  # (N,) index of the camera
+    column: NDArray[np.integer[Any]]  # (N,) whole pixels from the left
+    row: NDArray[np.integer[Any]]  # (N,) whole pixels from the top
 
     def __len__(self) -> int:
         """Number of pixels."""

@@ -48,19 +48,12 @@ Change = Callable[[Photographs, Any, np.random.Generator], Photographs]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Factor:
-    """Something that may be wrong with a capture.
+    """Something that may be wrong with a capture."""
 
-    Attributes:
-        change: Makes the photographs worse by a value.
-        is_of_tests: Whether the test views' pictures suffer too.
-        check: Whether a value makes sense.
-        wanted: What values make sense, for people.
-    """
-
-    change: Change
-    is_of_tests: bool
-    check: Callable[[Any], bool]
-    wanted: str
+    change: Change  # makes the photographs worse by a value
+    is_of_tests: bool  # whether the test views' pictures suffer too
+    check: Callable[[Any], bool]  # whether a value makes sense
+    wanted: str  # what values make sense, for people
 
 
 def _is_number(low: float, high: float) -> Callable[[Any], bool]:
@@ -77,6 +70,7 @@ def _is_family(value: Any) -> bool:
     return value in {curve.name for curve in tone.families()}
 
 
+# what `robir stability` can sweep, by the name in a plan
 FACTORS: dict[str, Factor] = {
     "views": Factor(
         change=spoil.keep_views,
@@ -130,22 +124,15 @@ FACTORS: dict[str, Factor] = {
         wanted="a standard deviation of display values, 0 to 1",
     ),
 }
-"""What `robir stability` can sweep, by the name in a plan."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Perturbation:
-    """One value of one factor.
+    """One value of one factor."""
 
-    Attributes:
-        source: Rendered capture with truth.
-        factor: Name in FACTORS.
-        value: How much of it.
-    """
-
-    source: Path
-    factor: str
-    value: Value
+    source: Path  # rendered capture with truth
+    factor: str  # name in FACTORS
+    value: Value  # how much of it
 
     def __post_init__(self) -> None:
         """Refuse factors and values that make no sense."""

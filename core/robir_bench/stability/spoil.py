@@ -27,21 +27,13 @@ _HOLE_RADIUS = 0.04
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Photographs:
-    """The pictures of one split with their cameras.
+    """The pictures of one split with their cameras."""
 
-    Attributes:
-        table: Contents of the split's transforms file; one frame a picture.
-        pictures: RGBA codes (H, W, 4), straight alpha.
-        truths: The EXR file of each, with linear radiance and coverage.
-        curve: Tone curve that the pictures went through.
-        exposure: Stops added before it.
-    """
-
-    table: dict[str, Any]
-    pictures: tuple[Picture, ...]
-    truths: tuple[Path, ...]
-    curve: tone.AbstractToneCurve
-    exposure: float
+    table: dict[str, Any]  # contents of the split's transforms file; one frame a picture
+    pictures: tuple[Picture, ...]  # RGBA codes (H, W, 4), straight alpha
+    truths: tuple[Path, ...]  # the EXR file of each, with linear radiance and coverage
+    curve: tone.AbstractToneCurve  # tone curve that the pictures went through
+    exposure: float  # stops added before it
 
     def with_pictures(self, change: Callable[[Picture], Picture]) -> Photographs:
         """Every picture changed."""

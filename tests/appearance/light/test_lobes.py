@@ -32,8 +32,7 @@ from robir.appearance.photometry.statistics import Pairs, Radiance, neighbour_pa
 from robir.maths.daylight import hue
 from robir.maths.tone import curve_from_name
 
-SUN, SKY = 2.4, 0.12
-"""Irradiance of the sun at normal incidence and amplitude of each soft lobe."""
+SUN, SKY = 2.4, 0.12  # irradiance of the sun at normal incidence and amplitude of each soft lobe
 
 CONFIG = AppearanceConfig(num_scan_directions=600, num_sharp_lobes=2, iterations=90)
 

@@ -15,8 +15,7 @@ from robir.appearance.light.problem import make_problem
 from robir.appearance.light.solver import refit
 from robir.maths.tone import curve_from_name
 
-SUN, SKY = 2.4, 0.12
-"""Irradiance of the sun at normal incidence and amplitude of each soft lobe."""
+SUN, SKY = 2.4, 0.12  # irradiance of the sun at normal incidence and amplitude of each soft lobe
 
 
 @pytest.fixture(scope="module")

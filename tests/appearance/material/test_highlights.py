@@ -16,8 +16,8 @@ from robir.appearance.material.highlights import (
     read,
 )
 
+# brightest view under a highlight of each level, display
 HEIGHT = np.array([0.55, 0.5, 0.45, 0.36, 0.2, 0.1, 0.04])
-"""Brightest view under a highlight of each level, display."""
 
 
 def patch_of(errors, plain, brightest, noise=0.0, count=40, views=50):
@@ -76,8 +76,8 @@ def test_a_highlight_in_its_place_is_read_where_it_fits():
     assert _READING_ERROR < error < 0.12
 
 
+# errors of a polished part whose highlights are predicted beside the true ones
 BESIDE = np.array([0.043, 0.05, 0.065, 0.075, 0.07, 0.045, 0.035])
-"""Errors of a polished part whose highlights are predicted beside the true ones."""
 
 
 def test_a_bright_highlight_beside_its_place_is_no_rough_one():

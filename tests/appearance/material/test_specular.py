@@ -15,8 +15,8 @@ from robir.maths.tone import curve_from_name
 GOLD = synthetic.Material(np.float32([0.9, 0.62, 0.25]), 0.3, specular=1.0)
 PLASTIC = synthetic.Material(np.float32([0.12, 0.3, 0.35]), 0.56)
 LACQUER = synthetic.Material(np.float32([0.07, 0.012, 0.015]), 0.15)
+# half the width of a strip of metal, unit frame; neighbourhoods reach about twice as far
 STRIP = 0.12
-"""Half the width of a strip of metal, unit frame; neighbourhoods reach about twice as far."""
 
 
 @pytest.fixture(scope="module")

@@ -21,8 +21,7 @@ from tests.geometry.scenes import ball, capture_of
 
 VIEWS, POINTS = 24, 600
 
-COVERED = (3, 4, 17)
-"""Photographs during which a lamp is covered."""
+COVERED = (3, 4, 17)  # photographs during which a lamp is covered
 
 
 @pytest.fixture

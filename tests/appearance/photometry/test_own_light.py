@@ -15,8 +15,8 @@ from robir.transport.observe import Observations
 
 VIEWS, POINTS = 24, 900
 
+# so far away that all points of a ball are seen along about one direction
 CAMERAS = 50.0 * fibonacci_sphere(VIEWS).numpy().astype(np.float32)
-"""So far away that all points of a ball are seen along about one direction."""
 
 
 @pytest.fixture

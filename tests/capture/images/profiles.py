@@ -9,21 +9,21 @@ from pathlib import Path
 
 import numpy as np
 
+# situations that people report, rebuilt small; None where the folder is absent
 REPORTS = next(
     (p / "shared/reports" for p in Path(__file__).parents if (p / "shared/reports").is_dir()), None
 )
-"""Situations that people report, rebuilt small; None where the folder is absent."""
 
+# red, green and blue in the columns, XYZ under D50 (ICC)
 COLORANTS = {
     "srgb": [[0.43607, 0.38515, 0.14307], [0.22249, 0.71687, 0.06061], [0.01392, 0.09708, 0.7141]],
     "p3": [[0.51512, 0.29198, 0.1571], [0.2412, 0.69225, 0.06657], [-0.00105, 0.04189, 0.78407]],
     "adobe": [[0.60974, 0.20528, 0.14919], [0.31111, 0.62567, 0.06322], [0.01947, 0.06087, 0.7446]],
     "prophoto": [[0.79767, 0.13519, 0.03134], [0.28804, 0.71188, 0.00009], [0.0, 0.0, 0.82491]],
 }  # fmt: skip
-"""Red, green and blue in the columns, XYZ under D50 (ICC)."""
 
+# exponents; 0 for the curve of sRGB
 GAMMAS = {"p3": 0.0, "adobe": 563 / 256, "prophoto": 1.8, "srgb": 0.0}
-"""Exponents; 0 for the curve of sRGB."""
 
 
 def linear(code: np.ndarray) -> np.ndarray:

@@ -14,13 +14,13 @@ from robir.capture.config import CaptureConfig
 from robir.capture.masks.unmasked import backdrop_masks
 from robir.capture.recognise import read_capture
 
+# a window frame: its opening is a hole seen from front and back
 BARS = [
     ((-0.9, -0.1, 0.0), (-0.6, 0.1, 1.0)),
     ((0.6, -0.1, 0.0), (0.9, 0.1, 1.0)),
     ((-0.6, -0.1, 0.0), (0.6, 0.1, 0.2)),
     ((-0.6, -0.1, 0.8), (0.6, 0.1, 1.0)),
 ]
-"""A window frame: its opening is a hole seen from front and back."""
 
 LAMP = np.array([0.0, -0.6, 0.8])
 

@@ -17,28 +17,19 @@ from robir.capture.frames import FrameSet
 SIZE = (320, 240)
 FOCAL = 340.0
 TARGET = np.array([0.0, 0.0, 0.35])
-RADIUS = 0.6
-"""Of the boulder, which is a ball half sunk into the floor."""
+RADIUS = 0.6  # of the boulder, which is a ball half sunk into the floor
 
-COUNT = 20
-"""Photographs of a walk."""
+COUNT = 20  # photographs of a walk
 
 
 @dataclass(frozen=True)
 class Walk:
-    """Photographs in a folder, and the truth about them.
+    """Photographs in a folder, and the truth about them."""
 
-    Attributes:
-        folder: Holds p00.png and so on, and masks.
-        cameras: Truth.
-        pictures: Pixels.
-        masks: Of the boulder.
-    """
-
-    folder: Path
-    cameras: list[Camera]
-    pictures: list[np.ndarray]
-    masks: list[np.ndarray]
+    folder: Path  # holds p00.png and so on, and masks
+    cameras: list[Camera]  # truth
+    pictures: list[np.ndarray]  # pixels
+    masks: list[np.ndarray]  # of the boulder
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,8 @@ pytestmark = pytest.mark.pycolmap
 
 COUNT = 12
 SIZE = {"width": 640, "height": 480}
+# matches of a side with the one that looks like it: more than true ones, but all on one label
 LABEL = 250
-"""Matches of a side with the one that looks like it: more than true ones, but all on one label."""
 
 
 def ring(turned: range):
@@ -121,12 +121,12 @@ def test_a_model_led_astray_is_found_out_and_its_ties_are_forgotten(place: Workp
     assert "18 pairs were left out" in warning.message
 
 
+# broken links of one model after the other, which one is to be used, and whether it is doubted
 VERDICTS = {
     "mended by the second": ([4, 3, 0], "third", False),
     "never mended": ([4, 2, 3, 3, 3, 0], "second", True),
     "right at once": ([0], "first", None),
 }
-"""Broken links of one model after the other, which one is to be used, and whether it is doubted."""
 
 
 @pytest.mark.parametrize(("broken", "used", "is_doubted"), VERDICTS.values(), ids=VERDICTS.keys())

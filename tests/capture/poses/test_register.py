@@ -95,6 +95,7 @@ def test_a_capture_comes_out_of_it(walk: Walk, registered: Registered):
     assert 0.15 < capture.bounds.radius / distance < 0.35
 
 
+# in portions of so few photographs that half a walk has several
 _KILLED = """
 import os, signal, sys
 from pathlib import Path
@@ -108,7 +109,6 @@ def tell(share, text):
 with changed(["capture.poses.sfm._TILE=6"]):
     register(Path(sys.argv[1]), Path(sys.argv[2]), 0, tell)
 """
-"""In portions of so few photographs that half a walk has several."""
 
 
 @pytest.fixture
@@ -155,8 +155,8 @@ def test_a_request_to_stop_is_heard_while_cameras_are_placed(few: Path, tmp_path
         register(few, tmp_path / "work", 0, tell)
 
 
+# how a camera that notes an EXIF orientation stores an upright picture
 TURNS = {6: Image.Transpose.ROTATE_90, 8: Image.Transpose.ROTATE_270, 3: Image.Transpose.ROTATE_180}
-"""How a camera that notes an EXIF orientation stores an upright picture."""
 
 
 def store(picture: np.ndarray, path: Path, orientation: int, focal_35: float | None) -> None:

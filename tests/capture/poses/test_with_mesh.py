@@ -34,8 +34,8 @@ class Listener(Quiet):
         self.told.append(message)
 
 
+# of the mesh's frame, in which the floor's normal is the second axis
 SCALE, CENTRE = 250.0, np.array([4e3, -1e3, 7e3])
-"""Of the mesh's frame, in which the floor's normal is the second axis."""
 
 
 @pytest.fixture(scope="module")

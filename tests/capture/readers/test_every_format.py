@@ -24,6 +24,7 @@ REAL = (
     "mouse_colmap", "scissors_neus",
 )  # fmt: skip
 
+# formats with one focal length, or without a principal point
 CENTRED = {
     "nerf-synthetic": writers.nerf_synthetic,
     "llff": partial(writers.llff, numeric=False),
@@ -34,7 +35,6 @@ CENTRED = {
     "nerfactor": program_writers.nerfactor,
     "gaussian-splatting": program_writers.splats,
 }
-"""Formats with one focal length, or without a principal point."""
 
 OFF_CENTRE = {
     "nerfstudio": writers.nerfstudio,

@@ -22,8 +22,8 @@ from robir.capture.recognise import Workshop, read_capture, read_frames, read_or
 from robir.capture.refusal import CaptureRefusedError
 from robir.capture.views import unheard
 
+# rotation and place of the second camera of a rig in the first one's frame
 OFFSET = (Rotation.from_euler("xyz", [0.2, 0.1, -0.4]).as_matrix(), np.array([0.3, -0.1, 0.2]))
-"""Rotation and place of the second camera of a rig in the first one's frame."""
 
 
 def edit(path: Path, change) -> None:

@@ -26,8 +26,7 @@ CONFIG = GeometryConfig(
     face_budget=1500, stereo_side=0,
 )  # fmt: skip
 
-CENTRE, RADIUS = np.array([300.0, -70.0, 20.0]), 240.0
-"""A capture in millimetres."""
+CENTRE, RADIUS = np.array([300.0, -70.0, 20.0]), 240.0  # a capture in millimetres
 
 
 def in_millimetres(capture):

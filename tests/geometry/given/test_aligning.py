@@ -22,8 +22,7 @@ from robir.geometry.given.surface import Aligned, aligned, hand_in
 from robir.jobs.paths import JobPaths, read_json, write_json
 from robir.maths.similarity import AS_IT_IS, Similarity
 
-SIDE = 72
-"""Pixels of the photographs: the unit sphere covers about 60 of them."""
+SIDE = 72  # pixels of the photographs: the unit sphere covers about 60 of them
 
 
 @pytest.fixture(scope="module")

@@ -17,8 +17,8 @@ from robir.geometry.given.layout import Layout, own_layout
 from robir.geometry.given.ready import FLAT, made_ready
 from robir.geometry.mesh.isosurface import plain_mesh
 
+# a whole tile, border to border
 SQUARE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
-"""A whole tile, border to border."""
 
 
 def squares(*places, size: float = 1.0, shared: bool = False) -> Given:

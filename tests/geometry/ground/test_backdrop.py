@@ -23,8 +23,7 @@ from robir.geometry.lattice import Lattice
 from robir.geometry.rays import ReducedPhoto, reduce_view
 from tests.geometry.scenes import capture_of, checker, disc
 
-TOP = -0.3
-"""Height of the ground's surface."""
+TOP = -0.3  # height of the ground's surface
 
 
 def table() -> trimesh.Trimesh:
@@ -80,8 +79,7 @@ def test_what_has_the_colours_of_the_ground_is_not_cut_away() -> None:
     assert (free[solid] < 0).mean() > 0.4
 
 
-NOISE = 0.03
-"""Standard deviation of the noise in the tests, display."""
+NOISE = 0.03  # standard deviation of the noise in the tests, display
 
 
 def noisy(photo: ReducedPhoto, rng: np.random.Generator) -> ReducedPhoto:

@@ -12,11 +12,9 @@ import trimesh
 from robir.geometry.ground.backdrop import Backdrop
 from tests.geometry.scenes import disc, drum, ground_of
 
-TOP = -0.3
-"""Height of the ground's surface."""
+TOP = -0.3  # height of the ground's surface
 
-RIM = (0.4, 0.6)
-"""Inner and outer radius of a plate's rim that overhangs the ground."""
+RIM = (0.4, 0.6)  # inner and outer radius of a plate's rim that overhangs the ground
 
 
 def pale(points: np.ndarray) -> np.ndarray:
