@@ -92,9 +92,8 @@ def _least_squares(
 
 Floats = NDArray[np.float32]
 
-LEAST_COSINE = (
-    0.5  # cosine from which a view of a point counts: flatter ones show mostly specular reflection
-)
+# cosine from which a view of a point counts: flatter ones show mostly specular reflection
+LEAST_COSINE = 0.5
 _DARKEST = 10  # code from which a curve's slope is worth something in all three channels (codes)
 _BRIGHTEST = 250  # code up to which it is (codes)
 LEAST_VIEWS = 4  # views of a point from which photographs can be compared

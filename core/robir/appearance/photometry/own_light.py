@@ -38,9 +38,8 @@ _PLACE_SIZE = 0.15  # side of the cubes within which points err together (unit f
 # passes for one in lights of its own
 _SPECULAR_DEGREE = 3
 _SPECULAR_ROUNDS = 8  # turns of points and specular reflection
-_SPECULAR_RIDGE = (
-    1e-4  # weight of the specular reflection's prior against the trace of its equations
-)
+# weight of the specular reflection's prior against the trace of its equations
+_SPECULAR_RIDGE = 1e-4
 
 
 # share of the squared errors that slopes may leave: what is proven but small, a wrong mesh does as
