@@ -35,7 +35,7 @@ from robir.jobs.context import Choice, Reporter, StageContext
 from robir.jobs.paths import of_tile, replacing, write_json
 from robir.steps import Pipeline, Step, check_left_out
 
-REVISION = 43
+REVISION = 44
 """Raised whenever the same input gives another result."""
 
 MASKING = 0.02
