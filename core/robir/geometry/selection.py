@@ -160,13 +160,14 @@ class Selection:
 
 
 def refined(best: SurfaceCandidate, views: tuple[View, ...], config: GeometryConfig) -> Dense:
-    """A surface moved to where patches agree, if photographs then predict each other better."""
+    """A surface moved to where patches agree, if photographs and its bending speak for that."""
     mesh = best.mesh
     photos = side_by_side(lambda view: reduce_view(view, max(config.refine_sides)), views)
     moved = refine(mesh, views, config.refine_sides)
     # at the size that it was refined by: half of it does not show what it gained
     predictions = Predictions(photos)
-    if lead(predictions.errors(mesh), predictions.errors(moved)) > 0:
+    ahead = lead(predictions.errors(mesh), predictions.errors(moved))
+    if weighed(ahead, bending(mesh) / bending(moved)) > 0:
         mesh = moved
     grain, faces = resolved(photos, config)
     return Dense(mesh, min(best.cell, grain), faces)

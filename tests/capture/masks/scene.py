@@ -64,6 +64,14 @@ def _hit(origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
     return np.minimum(ball, np.where((near < far) & (near > 0), near, np.inf))
 
 
+def surface(camera: Camera) -> np.ndarray:
+    """Points (N, 3) of the object that a camera's pixels show."""
+    origins, directions = camera.rays(camera.pixel_centres())
+    distance = _hit(origins, directions)
+    hit = np.isfinite(distance)
+    return origins[hit] + distance[hit, None] * directions[hit]
+
+
 def colours(
     camera: Camera, pixels: np.ndarray, has_camouflage: bool
 ) -> tuple[np.ndarray, np.ndarray]:

@@ -15,11 +15,13 @@ from robir.capture.bounds import kept, shown, silhouette
 from robir.capture.capture import Finding
 from robir.capture.config import CaptureConfig
 from robir.capture.frames import Distortion
-from robir.capture.masks.guess import sharpened
+from robir.capture.masks.guess import guess_masks, sharpened
 from robir.capture.masks.matching import features, surface_points
 from robir.capture.masks.region import find_region, focus, region_of_box
-from robir.capture.recognise import check_capture, read_capture
+from robir.capture.masks.unmasked import _guess
+from robir.capture.recognise import check_capture, read_capture, read_frames
 from robir.capture.support import support_plane
+from robir.capture.views import unheard
 from robir.errors import CaptureError, ConfigError
 
 SMALL = CaptureConfig(max_side=160)
@@ -138,6 +140,24 @@ def test_the_cameras_aim_and_the_table_are_found(shots, points):
     region = find_region(views, points)
     assert region is not None
     assert np.linalg.norm(region.centre[:2] - [0.2, 0.0]) < 0.25
+
+
+def test_a_side_of_the_object_is_no_table(points, tmp_path):
+    shots = scene.photographs(12)
+    source = scene.save_nerfstudio(tmp_path / "capture", shots)
+    views = read_capture(source, None, SMALL).views
+    table = find_region([view.camera for view in views], points)
+    assert table is not None and len(table.table) > 50
+    assert not guess_masks(views, table, print).is_own_table
+    # a plain table has no points: the plane with most of them is then one through the object
+    own = np.concatenate([scene.surface(shot.camera) for shot in shots])
+    own = own[own[:, 2] > 0.25][::40]
+    cut = find_region([view.camera for view in views], own)
+    assert cut is not None and cut.plane is not None
+    _, guess, _ = _guess(replace(read_frames(source), points=own), views, SMALL, unheard)
+    assert guess is not None and guess.region.plane is None
+    scores = [scene.overlap(m > 0.5, s.truth) for m, s in zip(guess.masks, shots, strict=True)]
+    assert np.mean(scores) > 0.92
 
 
 def test_what_stands_on_plain_legs_reaches_down_to_the_table():

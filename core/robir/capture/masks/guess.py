@@ -64,6 +64,7 @@ class Guess:
     # on the right side; one half where object and background look alike
     contrast: Array
     region: Region  # where the object was looked for
+    is_own_table: bool  # whether the plane it should stand on is a side of its own
 
     def fault(self) -> str | None:
         """Why the masks are not to be trusted, a clause for the user, or None."""
@@ -119,6 +120,7 @@ def guess_masks(views: Sequence[View], region: Region, progress: Callable[[float
         agreement=np.array(agreement),
         contrast=_contrasts([picture.lab for picture in pictures], masks),
         region=region,
+        is_own_table=2 * len(_within(region.table, pictures, masks)) > len(region.table),
     )
 
 

@@ -42,6 +42,7 @@ class Region:
     core: Array  # (K, 4) half spaces (normal, offset; inside <= 0): convex hull of what is known
     points: Array  # (N, 3) surface points that belong to the object, possibly none
     plane: Plane | None  # what the object stands on, or None
+    table: Array  # (M, 3) surface points on that plane, possibly none
     origin: str  # how the region was found, one clause for the user
 
     def cells(self, count: int) -> tuple[Array, float]:
@@ -84,14 +85,18 @@ def focus(cameras: Sequence[Camera]) -> tuple[Array, float] | None:
     return point, float(np.median(np.linalg.norm(place - point, axis=1)))
 
 
-def find_region(cameras: Sequence[Camera], points: Array) -> Region | None:
-    """Region of the object the cameras aim at, by sparse points (N, 3), or None without a focus."""
+def find_region(cameras: Sequence[Camera], points: Array, *, stands: bool = True) -> Region | None:
+    """Region of the object the cameras aim at, by sparse points (N, 3), or None without a focus.
+
+    What the object `stands` on is looked for too.
+    """
     aim = focus(cameras)
     if aim is None:
         return None
     middle, distance = aim
     near = points[np.linalg.norm(points - middle, axis=1) < _REACH * distance]
-    plane = support_plane(near, cameras, distance)
+    plane = support_plane(near, cameras, distance) if stands else None
+    table = _on(plane, near)
     own = _object_points(near, plane, middle, distance)
     whole = np.concatenate([own, _foot(own, plane)])
     core = _half_spaces(whole)
@@ -99,26 +104,32 @@ def find_region(cameras: Sequence[Camera], points: Array) -> Region | None:
         half = np.full(3, _BLIND * distance)
         core, own = _half_spaces_of_box(middle, half), own[:0]
         half, origin = (1 + 2 * _ROOM) * half, "the cameras' common focus"
-        return Region(middle, half, core, own, plane, origin)
+        return Region(middle, half, core, own, plane, table, origin)
     room = _ROOM * float(np.ptp(np.quantile(own, [0.01, 0.99], axis=0), axis=0).max())
     lower, upper = np.quantile(whole, [0.01, 0.99], axis=0)
     half = 0.5 * (upper - lower) + room
     origin = f"{len(own)} points about the cameras' common focus"
-    return Region(0.5 * (lower + upper), half, core, own, plane, origin)
+    return Region(0.5 * (lower + upper), half, core, own, plane, table, origin)
 
 
-def region_of_box(box: Sequence[float], cameras: Sequence[Camera], points: Array) -> Region:
+def region_of_box(
+    box: Sequence[float], cameras: Sequence[Camera], points: Array, *, stands: bool = True
+) -> Region:
     """Region of a user's upright box: centre x, y, z and sides; sparse points (N, 3) or none."""
     centre, half = np.array(box[:3]), 0.5 * np.array(box[3:])
     distance = float(np.median([np.linalg.norm(c.position - centre) for c in cameras]))
     near = points[np.linalg.norm(points - centre, axis=1) < max(_REACH * distance, 2 * half.max())]
-    plane = support_plane(near, cameras, distance)
+    plane = support_plane(near, cameras, distance) if stands else None
     own = near[(np.abs(near - centre) <= half).all(axis=1)]
     if plane is not None:
         own = own[plane.height(own) > 2.0 * plane.tolerance]
     core = _half_spaces(own)
     core = _half_spaces_of_box(centre, 0.6 * half) if core is None else core
-    return Region(centre, half, core, own, plane, "the box that was given")
+    return Region(centre, half, core, own, plane, _on(plane, near), "the box that was given")
+
+
+def _on(plane: Plane | None, points: Array) -> Array:
+    return points[:0] if plane is None else points[np.abs(plane.height(points)) < plane.tolerance]
 
 
 def _object_points(points: Array, plane: Plane | None, middle: Array, distance: float) -> Array:

@@ -279,14 +279,19 @@ def _guess(
     if len(points) < _ENOUGH_POINTS:
         views, points = _with_points(frames, views)
     cameras = [view.camera for view in views]
-    if config.box:
-        region = region_of_box(config.box, cameras, points)
-    else:
-        region = find_region(cameras, points)
-    if region is None:
-        return views, None, "the cameras do not aim at a common point"
     telling = "telling object from background"
-    guess = guess_masks(views, region, lambda share: progress(0.1 + 0.5 * share, telling))
+    for share, stands in ((0.1, True), (0.35, False)):
+        if config.box:
+            region = region_of_box(config.box, cameras, points, stands=stands)
+        else:
+            region = find_region(cameras, points, stands=stands)
+        if region is None:
+            return views, None, "the cameras do not aim at a common point"
+        guess = guess_masks(
+            views, region, lambda done, at=share: progress(at + 0.25 * done, telling)
+        )
+        if not guess.is_own_table:  # on a plain table no points but the object's make a plane
+            break
     fault = guess.fault()
     return views, (guess if fault is None else None), fault or ""
 

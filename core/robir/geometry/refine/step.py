@@ -36,9 +36,10 @@ _MOST_EDGE = 2.0  # length of the mesh's edges above which it is subdivided (pix
 # reaches squared, is one over twice this, and doubles every round
 _LOOSE = 0.5
 _MOST_ITERATIONS = 80  # of conjugate gradients a round; each begins where the last one ended
-_REACH = 5.0  # largest shift of a vertex, pixels of the level
-_OFFSETS = 21  # shifts that are tried, evenly over the reach on both sides
-_SMOOTHNESS = 10.0  # weight of the thin plate's bending against correlation
+_REACH = 5.0  # largest shift of a vertex, pixels of the first level; weights are for this reach
+_FINE_REACH = 2.0  # the same at the later levels, which start where the one before ended
+_STEP = 0.5  # between the shifts that are tried, pixels
+_SMOOTHNESS = 640.0  # weight of the thin plate's bending against correlation
 _CREASE = 0.3  # bend between neighbouring vertices at which a crease begins, pixels
 _ANCHOR = 0.01  # weight of the mesh as it was, at a shift of the whole reach
 _OUTLINE = 0.2  # weight of the masks' outlines, likewise, each time one runs along a vertex
@@ -58,14 +59,14 @@ class Evidence:
 def refine(mesh: Mesh, views: tuple[View, ...], sides: tuple[int, ...]) -> Mesh:
     """Move a mesh to where photographs agree, finer from size to size of these."""
     reduced = {s: side_by_side(partial(reduce_view, side=s), views) for s in set(sides)}
-    for side in sides:
+    for side, reach in zip(sides, (_REACH, *len(sides) * [_FINE_REACH]), strict=False):
         photos = reduced[side]
         pictures = [StereoPicture.of(photo) for photo in photos]
         pixel = pixel_size([picture.camera for picture in pictures])
         fine = _subdivided(mesh, _MOST_EDGE * pixel, _MOST_VERTICES)
         mesh = taubin(fine, _FAIR_ROUNDS)
         tracer = EmbreeTracer(mesh.vertices, mesh.faces)
-        shifts = np.linspace(-_REACH, _REACH, _OFFSETS) * pixel
+        shifts = np.arange(-reach, reach + _STEP, _STEP) * pixel
         cosine = seen_by(mesh, tracer, pictures, pixel)
         agreed = correlations(mesh, pictures, cosine, shifts.astype(np.float32))
         outline = outline_shifts(mesh, tracer, photos, pixel)
@@ -92,7 +93,7 @@ def best_vertices(mesh: Mesh, evidence: Evidence, pixel: float) -> Array:
     """Vertices (Nv, 3) with the least sum of cost and bending."""
     start, normals = mesh.vertices.astype(np.float64), mesh.normals.astype(np.float64)
     shifts, cost = evidence.shifts, evidence.cost
-    reach, step = shifts[-1], shifts[1] - shifts[0]
+    reach, step = _REACH * pixel, shifts[1] - shifts[0]
     plate = ThinPlate(mesh, _CREASE * pixel, _MOST_ITERATIONS)
     confidence = np.clip(cost.max(1) - cost.min(1), 0, 1)
     outline, times = evidence.outline
