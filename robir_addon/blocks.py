@@ -8,9 +8,7 @@ import bpy
 from .errors import ResultError
 from .gateway import UDIM, files_of
 
-MARK = "robir_result"
-"""Custom property that names the result folder a data-block came from."""
-
+MARK = "robir_result"  # custom property that names the result folder a data-block came from
 _UNREADABLE = "{file} cannot be read as an image; is it there and whole?"
 
 

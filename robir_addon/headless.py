@@ -43,9 +43,7 @@ _FOLLOWED = "ROBIR_FOLLOWED"
 _COMPRESSED_END = b"\xb1\xea\x92\x8f"
 """Last bytes of a whole compressed .blend: the mark of the table of its parts."""
 
-_Made = tuple[list[Path], tuple[str, ...]]
-"""Files that a command wrote, and sentences for the user."""
-
+_Made = tuple[list[Path], tuple[str, ...]]  # files that a command wrote, and sentences for the user
 _INTERRUPTED = 130
 _DISK = 6
 _DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG, errno.EIO)

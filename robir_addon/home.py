@@ -5,9 +5,7 @@ from pathlib import Path
 
 import bpy
 
-ADDON = __package__
-"""Name under which Blender knows the extension."""
-
+ADDON = __package__  # name under which Blender knows the extension
 CODE = Path(__file__).parent
 
 

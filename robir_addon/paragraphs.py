@@ -6,15 +6,9 @@ from functools import lru_cache
 import blf
 import bpy
 
-_MARGIN = 60
-"""Points of the region that hold its tabs, the panel's border and a label's padding."""
-
-_ICON = 22
-"""Points that an icon takes from a line."""
-
-_BOX = 16
-"""Points that the borders of a box take."""
-
+_MARGIN = 60  # points of the region that hold its tabs, the panel's border and a label's padding
+_ICON = 22  # points that an icon takes from a line
+_BOX = 16  # points that the borders of a box take
 _WIDTH_WITHOUT_REGION = 300
 
 

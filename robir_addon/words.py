@@ -15,9 +15,7 @@ import bpy
 from .engine.sentences import Sentence
 
 _LOCALE = Path(__file__).with_name("locale")
-_ANY = "*"
-"""Blender's name for what a catalogue gives no context."""
-
+_ANY = "*"  # Blender's name for what a catalogue gives no context
 _LINE = re.compile(r'(?:(msgctxt|msgid|msgstr)\s+)?(".*")')
 
 

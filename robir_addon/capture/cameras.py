@@ -12,9 +12,7 @@ SENSOR_WIDTH = 36.0
 VIEW = "robir_view"
 """Custom property with the view's name; Blender may have to number the object's own."""
 
-_MARGIN = 0.08
-"""Share of a close-up's width that is left free on either side."""
-
+_MARGIN = 0.08  # share of a close-up's width that is left free on either side
 _SIZE = "robir_size"
 _ASPECT = "robir_aspect"
 _SPLIT = "robir_split"

@@ -27,19 +27,12 @@ from ..gateway import replacing
 SUFFIXES = (".fbx", ".usd", ".usda", ".usdc", ".usdz", ".abc")
 """Kinds of files that are read here; GLB, glTF, OBJ, PLY, STL and OFF the engine reads itself."""
 
-MOST_BYTES = 1 << 33
-"""Memory that reading may take; five million faces take a quarter of it."""
-
-MOST_SECONDS = 600.0
-"""Time on the clock, and of the processor, that reading may take."""
-
-_PR_SET_PDEATHSIG = 1
-"""Of <linux/prctl.h>: a signal is sent when the parent ends."""
-
+MOST_BYTES = 1 << 33  # memory that reading may take; five million faces take a quarter of it
+MOST_SECONDS = 600.0  # time on the clock, and of the processor, that reading may take
+_PR_SET_PDEATHSIG = 1  # of <linux/prctl.h>: a signal is sent when the parent ends
 _KINDS = {kind.exit_code: kind for kind in (RequestError, ResultError)}
 
-_SOLID = ("MESH", "CURVE", "SURFACE", "FONT", "META")
-"""Types of objects that may have faces."""
+_SOLID = ("MESH", "CURVE", "SURFACE", "FONT", "META")  # types of objects that may have faces
 
 
 def convert_apart(

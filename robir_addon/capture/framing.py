@@ -9,8 +9,7 @@ from collections.abc import Sequence
 import bpy
 from mathutils import Vector
 
-_ROOM = 1.15
-"""How much farther off the view is than it need be."""
+_ROOM = 1.15  # how much farther off the view is than it need be
 
 
 def frame(scene: bpy.types.Scene, centre: Sequence[float], radius: float) -> None:

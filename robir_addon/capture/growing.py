@@ -17,15 +17,9 @@ import numpy as np
 from ..gateway import read_regular
 from .viewport import MARK
 
-NAME = "RobIR growing"
-"""Name of the object and of its mesh; Blender may have to number them."""
-
-_GROWING = "robir_growing"
-"""Custom property of both."""
-
-_MOST_BYTES = 1 << 20
-"""Largest file that is read; the engine's have a tenth of it."""
-
+NAME = "RobIR growing"  # name of the object and of its mesh; Blender may have to number them
+_GROWING = "robir_growing"  # custom property of both
+_MOST_BYTES = 1 << 20  # largest file that is read; the engine's have a tenth of it
 _HEAD = struct.Struct("<8sH")
 _MAGIC = b"\x93NUMPY\x01\x00"
 _SHAPE = re.compile(

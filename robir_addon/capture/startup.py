@@ -7,9 +7,7 @@ light shines on it. As long as nobody has touched them they are hidden, not remo
 
 import bpy
 
-_ASIDE = "robir_aside"
-"""Custom property of what was hidden here."""
-
+_ASIDE = "robir_aside"  # custom property of what was hidden here
 _LIGHT_AT = (4.076, 1.005, 5.904)
 _LIGHT_WATTS = 1000.0
 

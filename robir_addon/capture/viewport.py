@@ -18,20 +18,13 @@ from .startup import put_aside
 
 COLLECTION = "RobIR capture"
 
-MARK = "robir_capture"
-"""Custom property of everything that is made here."""
-
-_LISTED = "robir_size"
-"""What lists a camera among those of a result, which these are not."""
-
-_SMALL_SIDE = 128
-"""Longer side of the small copies, pixels."""
-
+MARK = "robir_capture"  # custom property of everything that is made here
+_LISTED = "robir_size"  # what lists a camera among those of a result, which these are not
+_SMALL_SIDE = 128  # longer side of the small copies, pixels
 _LEAST_RADIUS, _MOST_RADIUS, _MOST_FAR = 0.02, 50.0, 50.0
 """Radii of the object that are shown as they are, and its distance from the origin in radii."""
 
-_MOST_REACH = 12.0
-"""Cameras farther off than this many radii are not made to fit into the view."""
+_MOST_REACH = 12.0  # cameras farther off than this many radii are not made to fit into the view
 
 
 def show_capture(scene: bpy.types.Scene, facts: dict[str, Any]) -> Iterator[None]:

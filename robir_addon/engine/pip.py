@@ -22,9 +22,7 @@ Progress = Callable[[float, str], None]
 
 MEBIBYTE = 1 << 20
 
-TAIL = 40
-"""Lines of pip that are searched for the reason of a failure."""
-
+TAIL = 40  # lines of pip that are searched for the reason of a failure
 _RAW_PROGRESS = (24, 1)
 _RESUMES = (25, 1)
 

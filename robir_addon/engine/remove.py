@@ -17,9 +17,7 @@ from .errors import EngineError
 from .lock import engine_lock
 from .places import Place
 
-_EVERY = 200
-"""Files between two reports."""
-
+_EVERY = 200  # files between two reports
 Progress = Callable[[float, str], None]
 
 

@@ -29,17 +29,12 @@ _FORMATS = {
     "llff": "LLFF",
 }
 
-_MOST_NAMES = 3
-"""Files that a finding names in the panel; `robir check` names more."""
-
+_MOST_NAMES = 3  # files that a finding names in the panel; `robir check` names more
 _KNOWN = ("spot_texel", "spot_albedo", "spot_result", "spot_shape", "sun", "tone_curve")
 """Settings that say what the user knows of the capture."""
 
-_PLACE = ("view_scale", "view_shift")
-"""Settings that say how the capture was brought into view."""
-
-_faulty: set[Path | None] = set()
-"""Captures that the last look at them refused."""
+_PLACE = ("view_scale", "view_shift")  # settings that say how the capture was brought into view
+_faulty: set[Path | None] = set()  # captures that the last look at them refused
 
 
 def is_refused(capture: Path | None) -> bool:

@@ -7,8 +7,7 @@ from bpy.props import IntProperty
 from ..words import told
 from .shared import WaitingOperator, at_rest, has_capture
 
-MISSING = "missing-images"
-"""Code of the finding that poses have no photograph."""
+MISSING = "missing-images"  # code of the finding that poses have no photograph
 
 
 def _has_findings(context: bpy.types.Context) -> str:

@@ -21,8 +21,7 @@ from ..words import told
 from ..work import monitor
 from .shared import Operator, is_imported, result_asset, result_paths, result_root
 
-_FILM_SAMPLES = 16
-"""Cycles samples a pixel of a film, before the noise is taken out."""
+_FILM_SAMPLES = 16  # Cycles samples a pixel of a film, before the noise is taken out
 
 
 class ROBIR_OT_use_environment(Operator, bpy.types.Operator, ImportHelper):

@@ -19,8 +19,7 @@ from .shared import Operator, WaitingOperator, at_rest, in_object_mode
 _SHIPPED = Path(__file__).parents[1] / "sample" / "avocado"
 """The result folder; its capture lies in it, under the same name."""
 
-_LIGHT = "sunrise"
-"""What it is relit by: a low sun, unlike the light that it was photographed in."""
+_LIGHT = "sunrise"  # what it is relit by: a low sun, unlike the light that it was photographed in
 
 
 def is_sample(result: str) -> bool:

@@ -12,9 +12,7 @@ from ..gateway import JobPaths
 from ..words import words
 from .lights import SHOWN_LIGHTS
 
-RECOVERED = "recovered"
-"""Identifier of the light of the photographs."""
-
+RECOVERED = "recovered"  # identifier of the light of the photographs
 _MAPS = (".exr", ".hdr")
 
 _known: dict[str, Any] = {}

@@ -17,12 +17,8 @@ from ..gateway import JobPaths, of_tile
 from .glb import GlbMesh, corners_of, read_glb
 from .pictures import read_codes
 
-MAX_SIDE = 1000
-"""Longer side of one picture, pixels."""
-
-_TRACED_SIDE = 400
-"""The same of what the textures show, where a ray is traced for each pixel."""
-
+MAX_SIDE = 1000  # longer side of one picture, pixels
+_TRACED_SIDE = 400  # the same of what the textures show, where a ray is traced for each pixel
 _MARGIN = 0.04
 _GAP = 0.02
 

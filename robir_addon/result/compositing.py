@@ -14,8 +14,7 @@ from .placing import ground_height
 _GROUND = "robir_shadow_ground"
 """Custom property of the ground: whether the film was transparent before."""
 
-_REACH = 20.0
-"""Side of the ground, longest sides of the object."""
+_REACH = 20.0  # side of the ground, longest sides of the object
 
 
 def set_stage(

@@ -24,8 +24,7 @@ from .materials import new_material, refresh_material, refresh_pictures
 TARGET = "robir_delit"
 """Custom property of an object: the result folder its new material comes from."""
 
-_BEFORE = "robir_material_before"
-"""Attribute of a mesh's faces: the slots they had before."""
+_BEFORE = "robir_material_before"  # attribute of a mesh's faces: the slots they had before
 
 _HEAD = """ply
 format binary_little_endian 1.0

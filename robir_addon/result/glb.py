@@ -21,8 +21,7 @@ _TYPES = {5126: np.float32, 5125: np.uint32}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3}
 
 
-_TILES = range(1001, 2001)
-"""Numbers that UDIM tiles may have: ten a row, from u = v = 0."""
+_TILES = range(1001, 2001)  # numbers that UDIM tiles may have: ten a row, from u = v = 0
 
 
 @dataclass(frozen=True)

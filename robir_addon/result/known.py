@@ -16,14 +16,9 @@ from .delight import has_own_layout, target_of
 from .importer import asset_of
 from .placing import SPOT
 
-FAR = 0.05
-"""Farthest that a point may lie from the surface, shares of the object's longest side."""
-
-_MOST = 10.0, 100.0
-"""What u and v may be over UDIM tiles."""
-
-_OUTSIDE = 1e-4
-"""How far rounding may lead out of the texture."""
+FAR = 0.05  # farthest that a point may lie from the surface, shares of the object's longest side
+_MOST = 10.0, 100.0  # what u and v may be over UDIM tiles
+_OUTSIDE = 1e-4  # how far rounding may lead out of the texture
 
 
 def textured_object(root: Path) -> bpy.types.Object:

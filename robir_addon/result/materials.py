@@ -13,12 +13,8 @@ from ..gateway import UDIM, JobPaths, of_tile, tiles_there
 from .glb import GlbMesh
 from .placing import fit_again
 
-_DIGEST = "robir_digest"
-"""Custom property of a mesh: its digest as it was imported."""
-
-_SPECULAR = "robir_specular"
-"""Custom property of a material: the specular level as it was imported."""
-
+_DIGEST = "robir_digest"  # custom property of a mesh: its digest as it was imported
+_SPECULAR = "robir_specular"  # custom property of a material: the specular level as it was imported
 _FED = "robir_fed"
 """Custom property of a material: one string with the names of all sockets given a texture."""
 

@@ -30,9 +30,7 @@ _STANDS = "robir_stands"
 _DROPPED = "robir_dropped"
 """Custom property of the object: the height up to which its ground was deleted, capture's unit."""
 
-SPOT = "robir_spot"
-"""Custom property of a dot that goes with the object's mesh."""
-
+SPOT = "robir_spot"  # custom property of a dot that goes with the object's mesh
 _SAME = (1.0, 0.0, 0.0, 0.0)
 
 _CRUMB = 0.005

@@ -6,9 +6,7 @@ from contextlib import contextmanager
 
 import bpy
 
-_STEP = 0.25
-"""Faces of a level of detail as a share of the one before."""
-
+_STEP = 0.25  # faces of a level of detail as a share of the one before
 _FEWEST = 4
 
 

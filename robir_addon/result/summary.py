@@ -29,8 +29,7 @@ class Summary:
 _known: dict[str, Summary] = {}
 """What was read, by the result's absolute path; the shown results only."""
 
-_active: list[str] = []
-"""Result of the object that was active last."""
+_active: list[str] = []  # result of the object that was active last
 
 
 def shown_summary(settings: bpy.types.PropertyGroup) -> Summary | None:

@@ -16,13 +16,10 @@ from ..words import duration, words
 from . import monitor
 from .worker import absolute
 
-MOST = 12
-"""Captures that are listed; those that need a look come first."""
-
+MOST = 12  # captures that are listed; those that need a look come first
 _PERIOD = 1.0
 _ORDER = ("failed", "running", "waiting", "dropped", "done")
-_STARTING = 20
-"""Looks that a batch has to come to its lock."""
+_STARTING = 20  # looks that a batch has to come to its lock
 
 
 @dataclass(frozen=True)

@@ -17,14 +17,10 @@ from ..capture.growing import clear_surface, read_surface, show_surface
 from ..gateway import JobPaths
 from .worker import result_folder
 
-PREVIEW = "RobIR preview"
-"""Name of the image."""
-
+PREVIEW = "RobIR preview"  # name of the image
 _HALVES = ("photograph", "reconstruction")
 
-_both: list[dict[str, Any]] = []
-"""Blender's collection of the two icons, once there is a picture."""
-
+_both: list[dict[str, Any]] = []  # Blender's collection of the two icons, once there is a picture
 _STAGES_BEFORE = ("", "capture")
 """Stages in which a surface in the result folder is one of an earlier run."""
 

@@ -11,12 +11,9 @@ from ..result.importer import mark_of, read_run
 from ..result.known import hide_spots, shape_of
 from ..words import told
 
-AUTOMATIC = "auto"
-"""The tone curve that the engine is to find itself."""
-
+AUTOMATIC = "auto"  # the tone curve that the engine is to find itself
 _SPOT = ("spot_texel", "spot_result", "spot_shape")
-_DIGITS = 6
-"""Decimals that a property's single precision holds."""
+_DIGITS = 6  # decimals that a property's single precision holds
 
 
 def known_of(settings: Any) -> tuple[str, ...]:
