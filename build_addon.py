@@ -1,6 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Builds the Blender extension: `python build_addon.py [--out DIR] [--install BLENDER]`.
 
+For Blender's extensions platform, which wants nothing installed at run time, `--without-installer`
+leaves out Install Engine: that add-on uses an engine that is there. `--website URL` is the page
+that Blender's list of extensions links to.
+
 DIR/robir-VERSION.zip is the extension: the add-on, the `robir` wheel and a filled-in manifest. One
 zip serves every Blender from 4.2 on, on every system, for nothing in it is compiled.
 DIR/repository is a folder for any web server; a Blender that has its address as a repository
@@ -28,6 +32,7 @@ SOURCE = ROOT / "robir_addon"
 EPOCH = (1980, 1, 1, 0, 0, 0)
 BILL = "sbom.cdx.json"
 COMPILED = (".so", ".pyd", ".dll", ".dylib")
+INSTALLER = ("install.py", "lock.py", "pip.py", "remove.py", "hashes*.txt")
 
 
 class BuildError(Exception):
@@ -41,9 +46,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--install", metavar="BLENDER", help="executable of the Blender to install it in"
     )
+    parser.add_argument("--website", metavar="URL", default="", help="for the manifest")
+    parser.add_argument(
+        "--without-installer", action="store_true", help="leave out Install Engine"
+    )
     options = parser.parse_args(arguments)
     try:
-        archive = build(options.out.resolve())
+        archive = build(options.out.resolve(), options.website, not options.without_installer)
         print(archive)
         if options.install:
             install(options.install, archive)
@@ -53,11 +62,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def build(out: Path) -> Path:
+def build(out: Path, website: str = "", installs: bool = True) -> Path:
     """Make the zip and the repository; what was there before stays until both are whole.
 
     Args:
         out: Folder for them; made if it is missing.
+        website: For the manifest; empty for none.
+        installs: Whether the add-on can install an engine.
 
     Returns:
         The zip.
@@ -71,7 +82,7 @@ def build(out: Path) -> Path:
         work = Path(folder)
         stage, repository = work / "robir", work / "repository"
         wheel = _build_wheel(work)
-        _stage(stage, wheel)
+        _stage(stage, wheel, website, installs)
         draft = work / "draft.zip"
         _tool(blender_ext, "build", "--source-dir", stage, "--output-filepath", draft)
         repository.mkdir()
@@ -138,9 +149,12 @@ def _version(wheel: Path) -> str:
     return wheel.name.split("-")[1].partition("+")[0]
 
 
-def _stage(stage: Path, wheel: Path) -> None:
+def _stage(stage: Path, wheel: Path, website: str, installs: bool) -> None:
     """Lay out what the zip will hold."""
     shutil.copytree(SOURCE, stage, ignore=shutil.ignore_patterns("__pycache__", "*.pyc", ".*"))
+    for name in () if installs else INSTALLER:
+        for file in (stage / "engine").glob(name):
+            file.unlink()
     (stage / "wheels").mkdir()
     shutil.copyfile(wheel, stage / "wheels" / wheel.name)
     shutil.copyfile(ROOT / "constraints.txt", stage / "engine" / "constraints.txt")
@@ -155,7 +169,11 @@ def _stage(stage: Path, wheel: Path) -> None:
     )
     if text.count(blank) != 1:
         raise BuildError(f"{SOURCE / manifest.name} has no line {blank.strip()} to fill in")
-    manifest.write_text(text.replace(blank, filled), encoding="utf-8")
+    filled += f"website = {json.dumps(website)}\n" if website else ""
+    text = text.replace(blank, filled)
+    if not installs:
+        text = re.sub(r"(?m)^network = .*\n", "", text)
+    manifest.write_text(text, encoding="utf-8")
 
 
 def _bill_of_materials(wheel: Path) -> dict[str, Any]:

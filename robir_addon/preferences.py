@@ -20,6 +20,11 @@ from .home import own_folder
 from .paragraphs import paragraph
 from .words import told, words
 
+_ENGINES = (
+    ("MANAGED", "Made by RobIR", "RobIR downloads and keeps what it needs in one folder"),
+    ("EXISTING", "Existing environment", "A Python that has robir and torch already"),
+)[not engine.CAN_INSTALL :]
+
 _CHOOSE = "choose one in the add-on's preferences"
 
 _shown: list[tuple[float, Status]] = []
@@ -43,11 +48,8 @@ class ROBIR_AP_preferences(bpy.types.AddonPreferences):
     engine: EnumProperty(
         name="Engine",
         description="The Python that reconstructs, apart from Blender's own",
-        items=(
-            ("MANAGED", "Made by RobIR", "RobIR downloads and keeps what it needs in one folder"),
-            ("EXISTING", "Existing environment", "A Python that has robir and torch already"),
-        ),
-        default="MANAGED",
+        items=_ENGINES,
+        default=_ENGINES[0][0],
         update=_forget_error,
     )
     python: StringProperty(

@@ -5,6 +5,8 @@ Either RobIR makes and keeps one in a folder of its own, or the user names one t
 here imports Blender, and nothing ever installs into Blender's Python.
 """
 
+from pathlib import Path
+
 from .errors import EngineError
 from .existing import Facts, inspect, interpreter
 from .places import (
@@ -19,8 +21,10 @@ from .places import (
 from .sentences import Sentence
 from .states import Status, read_record, status, wheel_version
 
+CAN_INSTALL = Path(__file__).with_name("install.py").is_file()  # else one that is there is used
+
 __all__ = [
-    "CHOOSE_EXISTING", "EngineError", "Facts", "Place", "Sentence", "Status", "base_python",
+    "CAN_INSTALL", "CHOOSE_EXISTING", "EngineError", "Facts", "Place", "Sentence", "Status", "base_python",
     "bundled_wheel", "clean_environment", "constraints", "inspect", "interpreter",
     "read_record", "status", "wheel_version", "worker_command",
 ]  # fmt: skip

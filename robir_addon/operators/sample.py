@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A finished sample that comes with the extension: relit at once, without an engine."""
 
+import hashlib
 import shutil
 import tempfile
 from pathlib import Path
@@ -24,7 +25,7 @@ _LIGHT = "sunrise"  # what it is relit by: a low sun, unlike the light that it w
 
 def is_sample(result: str) -> bool:
     """Whether a result folder is the one that came with the extension; touches no file."""
-    return Path(bpy.path.abspath(result)).parts[-2:] == _SHIPPED.parts[-2:]
+    return Path(bpy.path.abspath(result)).parts[-3::2] == _SHIPPED.parts[-2:]
 
 
 class ROBIR_OT_try_sample(Operator, bpy.types.Operator):
@@ -58,16 +59,26 @@ class ROBIR_OT_reconstruct_sample(WaitingOperator, bpy.types.Operator):
 def _laid_out() -> Path:
     """The sample where a result may lie beside its capture.
 
-    An update replaces the extension's own folder.
+    An update replaces the extension's own folder. Another content gets another folder, so that a
+    newer sample touches neither what files show of the former nor what was made of it.
     """
     home = own_folder(create=True) or Path(bpy.app.tempdir)
-    sample = home / "sample" / _SHIPPED.name
+    sample = home / "sample" / _digest(_SHIPPED) / _SHIPPED.name
     try:
         if not (sample / "run.json").is_file():
-            sample.parent.mkdir(exist_ok=True)
+            sample.parent.mkdir(parents=True, exist_ok=True)
             part = Path(tempfile.mkdtemp(prefix=".laying-out-", dir=sample.parent))
             shutil.copytree(_SHIPPED, part, dirs_exist_ok=True)
             part.replace(sample)
     except OSError as fault:
         raise ResultError("The sample cannot be laid out: {fault}", fault=fault) from fault
     return sample
+
+
+def _digest(folder: Path) -> str:
+    """Eight letters that stand for the names and contents of a folder's files."""
+    digest = hashlib.sha256()
+    for file in sorted(f for f in folder.rglob("*") if f.is_file()):
+        content = hashlib.sha256(file.read_bytes()).hexdigest()
+        digest.update(f"{file.relative_to(folder).as_posix()} {content}\n".encode())
+    return digest.hexdigest()[:8]

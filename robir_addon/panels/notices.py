@@ -3,10 +3,11 @@
 
 import bpy
 
+from ..engine import CAN_INSTALL
 from ..operators.notice import is_offline
 from ..paragraphs import paragraph
 from ..preferences import install_text, shown_engine_status
-from ..words import told
+from ..words import told, words
 from .drawing import Panel, preferences_button, progress
 
 
@@ -62,5 +63,6 @@ class ROBIR_PT_no_engine(Panel, bpy.types.Panel):
         paragraph(box, context, told(status.text), "INFO", is_boxed=True)
         paragraph(box, context, f"{cure[:1].upper()}{cure[1:]}", "BLANK1", is_boxed=True)
         row = box.row(align=True)
-        row.operator("robir.install_engine", text=install_text(context), icon="IMPORT")
-        preferences_button(row, text="")
+        if CAN_INSTALL:
+            row.operator("robir.install_engine", text=install_text(context), icon="IMPORT")
+        preferences_button(row, text="" if CAN_INSTALL else words("Preferences"))

@@ -12,6 +12,7 @@ import bpy
 from ..capture.photographs import draw_photographs
 from ..capture.recent import recent_captures
 from ..capture.viewport import COLLECTION
+from ..engine import CAN_INSTALL
 from ..operators.photographs import can_leave_out
 from ..operators.sample import is_sample
 from ..paragraphs import paragraph
@@ -319,8 +320,9 @@ class ROBIR_PT_engine(Panel, bpy.types.Panel):
             progress(layout, context)
         column = layout.column(align=True)
         column.operator("robir.check_engine", icon="CHECKMARK")
-        column.operator("robir.install_engine", text=install_text(context), icon="IMPORT")
-        column.operator("robir.remove_engine", icon="TRASH")
+        if CAN_INSTALL:
+            column.operator("robir.install_engine", text=install_text(context), icon="IMPORT")
+            column.operator("robir.remove_engine", icon="TRASH")
         preferences_button(layout, text=words("Preferences"))
 
 

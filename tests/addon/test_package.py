@@ -310,6 +310,36 @@ def test_the_same_tree_gives_the_same_zip(newer_tree, tmp_path):
     assert first.read_bytes() == second.read_bytes()
 
 
+WITHOUT_INSTALLER = """
+def main(archive, python):
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    install(archive)
+    preferences = bpy.context.preferences.addons[MODULE].preferences
+    engine = sys.modules[MODULE + ".preferences"]
+    answer = {"engine": preferences.engine, "before": engine.engine_status(bpy.context).text}
+    answer["may_install"] = bpy.ops.robir.install_engine.poll()
+    preferences.python = python
+    answer["after"] = engine.engine_status(bpy.context).state
+    return answer
+"""
+
+
+def test_the_platform_gets_an_add_on_that_installs_nothing(newest, tmp_path):
+    page = "https://example.org/robir"
+    done = build(ROOT, "--out", tmp_path, "--without-installer", "--website", page)
+    assert done.returncode == 0, done.stderr
+    (archive,) = tmp_path.glob("*.zip")
+    files = contents(archive)
+    manifest = tomllib.loads(files["blender_manifest.toml"].decode())
+    assert manifest["website"] == page and "network" not in manifest["permissions"]
+    assert manifest["license"] == ["SPDX:GPL-3.0-or-later", "SPDX:CC0-1.0", "SPDX:Apache-2.0"]
+    assert not {"engine/install.py", "engine/pip.py", "engine/hashes.txt"} & files.keys()
+    words = str(archive), sys.executable
+    answer = run(newest, COMMON + WITHOUT_INSTALLER, *words, user=tmp_path / "user")
+    assert answer["engine"] == "EXISTING" and not answer["may_install"]
+    assert answer["before"] == "No existing environment is chosen" and answer["after"] == "ready"
+
+
 @pytest.mark.parametrize(
     ("before", "after", "words"),
     [

@@ -37,6 +37,22 @@ def main(archive):
         answer["refused"] = str(fault)
     answer["capture"], answer["after"] = settings.capture, settings.result
     answer["cure"] = state.error_cure
+    # an update brings another sample, and the user has changed the former one
+    from pathlib import Path
+    import sys
+    own = Path(answer["result"], "run.json")
+    own.write_text(own.read_text() + " ")
+    sample = sys.modules["bl_ext.user_default.robir.operators.sample"]
+    with (sample._SHIPPED / "README.txt").open("a") as text:
+        text.write("newer")
+    bpy.ops.robir.try_sample()
+    answer["newer"] = settings.result
+    answer["is_sample"] = sample.is_sample(settings.result)
+    answer["texts"] = [Path(folder, "README.txt").read_text().endswith("newer")
+                       for folder in (answer["result"], settings.result)]
+    answer["kept"] = own.read_text().endswith(" ")
+    bpy.ops.robir.try_sample()
+    answer["again"] = settings.result
     return answer
 """
 
@@ -47,7 +63,7 @@ def test_it_is_relit_without_an_engine_and_asks_for_one_to_be_made_anew(
     answer = run(blender, SESSION, str(extension_zip), user=tmp_path / "user")
     assert answer["tried"] == ["FINISHED"]
     result = Path(answer["result"])
-    assert (result.name, result.parent.name) == ("avocado", "sample")
+    assert (result.name, result.parents[1].name) == ("avocado", "sample")
     assert tmp_path in result.parents
     assert Path(answer["light"]).name == "sunrise.exr"
     assert result in Path(answer["recovered"]).parents
@@ -58,3 +74,6 @@ def test_it_is_relit_without_an_engine_and_asks_for_one_to_be_made_anew(
     assert answer["cure"] == "Press Install Engine"
     assert Path(answer["capture"]) == result / "avocado"
     assert answer["after"] == ""
+    assert answer["newer"] != answer["result"] and answer["newer"] == answer["again"]
+    assert answer["texts"] == [False, True] and answer["is_sample"]
+    assert answer["kept"], "what the user changed is the user's"
