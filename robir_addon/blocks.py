@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Data-blocks that came from a result folder: how they are known, loaded and removed."""
 
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import bpy
@@ -82,3 +84,26 @@ def select_alone(layer: bpy.types.ViewLayer, chosen: bpy.types.Object) -> None:
         other.select_set(False)
     chosen.select_set(True)
     layer.objects.active = chosen
+
+
+@contextmanager
+def only_selected(
+    layer: bpy.types.ViewLayer,
+    chosen: Sequence[bpy.types.Object],
+    active: bpy.types.Object | None = None,
+) -> Iterator[None]:
+    """Select some objects and no others; afterwards the selection is as it was."""
+    selected, before = list(layer.objects.selected), layer.objects.active
+    try:
+        for block in selected:
+            block.select_set(False)
+        for block in chosen:
+            block.select_set(True)
+        layer.objects.active = active or before
+        yield
+    finally:
+        for block in chosen:
+            block.select_set(block in selected)
+        for block in selected:
+            block.select_set(True)
+        layer.objects.active = before

@@ -6,11 +6,13 @@ that the user gave; what hangs in front of them are small copies, so that hundre
 photographs neither fill the memory nor stop the window.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import bpy
+from mathutils import Vector
 
 from .cameras import SENSOR_WIDTH, add_camera
 from .framing import frame
@@ -18,11 +20,18 @@ from .startup import put_aside
 
 COLLECTION = "RobIR capture"
 
+GAP = "coverage-gap"  # code of the finding that a side was not photographed
+GAPS = "Not photographed"  # name of the collection that shows it
+
 MARK = "robir_capture"  # custom property of everything that is made here
 _LISTED = "robir_size"  # what lists a camera among those of a result, which these are not
 _SMALL_SIDE = 128  # longer side of the small copies, pixels
 _LEAST_RADIUS, _MOST_RADIUS, _MOST_FAR = 0.02, 50.0, 50.0
 """Radii of the object that are shown as they are, and its distance from the origin in radii."""
+
+_TINT = (1.0, 0.25, 0.05, 0.4)
+
+_PATCH = 0.09  # size of a patch of the tint, radii; the check's directions lie 0.16 apart
 
 _MOST_REACH = 12.0  # cameras farther off than this many radii are not made to fit into the view
 
@@ -46,6 +55,9 @@ def show_capture(scene: bpy.types.Scene, facts: dict[str, Any]) -> Iterator[None
     collection.objects.link(bounds)
     if facts.get("points"):
         collection.objects.link(_sparse_points(facts["points"]))
+    for finding in facts["findings"]:
+        if finding["code"] == GAP:
+            collection.children.link(_gaps(finding["numbers"], centre, radius))
     cameras = []
     for view in facts["cameras"]:
         camera = add_camera(view, Path(), centre)
@@ -105,9 +117,8 @@ def add_box(scene: bpy.types.Scene) -> bpy.types.Object:
 
 def clear_capture() -> None:
     """Take away all that `show_capture` made."""
-    data = bpy.data
-    kinds = (data.objects, data.cameras, data.images, data.meshes, data.collections)
-    bpy.data.batch_remove([block for blocks in kinds for block in blocks if MARK in block])
+    kinds = ("objects", "cameras", "images", "meshes", "materials", "collections")
+    bpy.data.batch_remove([b for kind in kinds for b in getattr(bpy.data, kind) if MARK in b])
 
 
 def _sparse_points(points: list[list[float]]) -> bpy.types.Object:
@@ -118,6 +129,42 @@ def _sparse_points(points: list[list[float]]) -> bpy.types.Object:
     mesh[MARK] = shown[MARK] = True
     shown.hide_select = shown.hide_render = True
     return shown
+
+
+def _gaps(numbers: dict[str, Any], centre: Sequence[float], radius: float) -> bpy.types.Collection:
+    """Tinted patches of the bounds that no photograph shows, and an arrow at the widest gap."""
+    vertices, faces = patches(numbers["missing"], centre, radius)
+    mesh, tint = bpy.data.meshes.new(GAPS), bpy.data.materials.new(GAPS)
+    mesh.from_pydata(vertices, [], faces)
+    tint.diffuse_color = _TINT
+    mesh.materials.append(tint)
+    arrow = bpy.data.objects.new("Photograph from here", None)
+    arrow.empty_display_type, arrow.empty_display_size = "SINGLE_ARROW", 0.6 * radius
+    towards = Vector(numbers["gap_direction"])
+    arrow.location = Vector(centre) + 1.7 * radius * towards
+    arrow.rotation_euler = (-towards).to_track_quat("Z", "Y").to_euler()
+    arrow.show_name = True
+    collection, shown = bpy.data.collections.new(GAPS), bpy.data.objects.new(GAPS, mesh)
+    for block in (shown, arrow):
+        block.hide_select = block.hide_render = True
+        collection.objects.link(block)
+    for block in (collection, mesh, tint, shown, arrow):
+        block[MARK] = True
+    return collection
+
+
+def patches(
+    directions: Sequence[Sequence[float]], centre: Sequence[float], radius: float
+) -> tuple[list[Vector], list[range]]:
+    """Corners and faces of hexagons that touch a sphere in directions from its centre."""
+    middle, corners = Vector(centre), []
+    for towards in map(Vector, directions):
+        turned = towards.to_track_quat("Z", "Y")
+        for step in range(6):
+            turn = step * math.pi / 3.0
+            aside = Vector((_PATCH * math.cos(turn), _PATCH * math.sin(turn), 1.0))
+            corners.append(middle + radius * (turned @ aside))
+    return corners, [range(at, at + 6) for at in range(0, len(corners), 6)]
 
 
 def _hang_photographs(

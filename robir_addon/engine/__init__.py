@@ -24,7 +24,7 @@ from .states import Status, read_record, status, wheel_version
 CAN_INSTALL = Path(__file__).with_name("install.py").is_file()  # else one that is there is used
 
 __all__ = [
-    "CAN_INSTALL", "CHOOSE_EXISTING", "EngineError", "Facts", "Place", "Sentence", "Status", "base_python",
-    "bundled_wheel", "clean_environment", "constraints", "inspect", "interpreter",
+    "CAN_INSTALL", "CHOOSE_EXISTING", "EngineError", "Facts", "Place", "Sentence", "Status",
+    "base_python", "bundled_wheel", "clean_environment", "constraints", "inspect", "interpreter",
     "read_record", "status", "wheel_version", "worker_command",
 ]  # fmt: skip

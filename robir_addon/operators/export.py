@@ -3,22 +3,31 @@
 
 import os
 import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import bpy
-from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
 from bpy_extras.io_utils import ExportHelper
 
-from ..blocks import MARK
+from ..blocks import MARK, only_selected
 from ..errors import RequestError, ResultError
 from ..relighting.lights import lamps_of
 from ..result.asset import make_asset
-from ..result.importer import asset_of
+from ..result.game import dense_copy, level_of
+from ..result.importer import asset_of, read_cameras
 from ..result.reducing import levels_of_detail, reduced
 from ..words import told
-from .shared import Operator, has_result, is_imported, result_asset, result_paths, result_root
+from .shared import (
+    Operator,
+    has_result,
+    in_object_mode,
+    is_imported,
+    result_asset,
+    result_paths,
+    result_root,
+)
+
+_GAME_FACES, _GAME_SIDE = 10_000, 2048  # triangles, and the textures' longer side
 
 
 class _SaveAs(ExportHelper):
@@ -117,7 +126,7 @@ class ROBIR_OT_export_glb(_SaveAs, Operator, bpy.types.Operator):
 
 def _write_glb(layer: bpy.types.ViewLayer, asset: bpy.types.Object, target: Path) -> None:
     target.parent.mkdir(parents=True, exist_ok=True)
-    with _selected(layer, [asset]):
+    with only_selected(layer, [asset]):
         bpy.ops.export_scene.gltf(
             filepath=str(target),
             export_format="GLB",
@@ -147,25 +156,83 @@ class ROBIR_OT_export_usd(_SaveAs, Operator, bpy.types.Operator):
         asset = result_asset(context)
         lamps = [lamp for lamp in lamps_of(asset[MARK]) if not lamp.hide_viewport]
         target = self.target()
-        target.parent.mkdir(parents=True, exist_ok=True)
         (faces,) = levels_of_detail(asset, self.most_faces, 1)
-        with (
-            reduced(asset, faces, int(self.texture_side)),
-            _selected(context.view_layer, [asset, *lamps]),
-        ):
-            bpy.ops.wm.usd_export(
-                filepath=str(target),
-                selected_objects_only=True,
-                overwrite_textures=True,
-                relative_paths=True,
-                export_custom_properties=False,  # they name folders of the user's
-                convert_world_material=True,
-                **_textures_too(),
-            )
-        if not target.is_file():
-            raise ResultError("{file} was not written; is the folder writable?", file=target.name)
+        with reduced(asset, faces, int(self.texture_side)):
+            _write_usd(context.view_layer, [asset, *lamps], target)
         text = "Saved {name} with its textures beside it"
         self.report({"INFO"}, told(text, name=target.name))
+
+
+def _write_usd(layer: bpy.types.ViewLayer, objects: list[bpy.types.Object], target: Path) -> None:
+    target.parent.mkdir(parents=True, exist_ok=True)
+    with only_selected(layer, objects):
+        bpy.ops.wm.usd_export(
+            filepath=str(target),
+            selected_objects_only=True,
+            overwrite_textures=True,
+            relative_paths=True,
+            export_custom_properties=False,  # they name folders of the user's
+            convert_world_material=MARK in objects[0],
+            **_textures_too(),
+        )
+    if not target.is_file():
+        raise ResultError("{file} was not written; is the folder writable?", file=target.name)
+
+
+class ROBIR_OT_export_game(_SaveAs, Operator, bpy.types.Operator):
+    """Save the object as games want it: on the floor, without ground and crumbs, of few triangles
+    whose normal map holds the fine shape, and in coarser levels. The scene stays as it is.
+    """
+
+    bl_label = "Export for Games"
+    bl_options = {"REGISTER", "PRESET"}
+    needs = (is_imported, in_object_mode)
+
+    filename_ext = ".glb"
+    filter_glob: StringProperty(default="*.glb", options={"HIDDEN"})
+    size: FloatProperty(
+        name="Longest Side",
+        description="Real length of the longest side; 0 keeps the size as it is",
+        min=0.0,
+        unit="LENGTH",
+        options={"SKIP_SAVE"},
+    )
+    levels: IntProperty(
+        name="Levels of Detail",
+        description="Files to write, each with half of the faces of the one before",
+        default=3,
+        min=1,
+        max=5,
+        options={"SKIP_SAVE"},
+    )
+    is_cleaned: BoolProperty(
+        name="Drop Ground",
+        description="Without the ground of the photographs, and without crumbs",
+        default=True,
+    )
+    is_usd: BoolProperty(
+        name="USD Too", description="Write each level as USD beside the GLB", default=True
+    )
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        self.most_faces = self.most_faces or _GAME_FACES
+        return super().invoke(context, event)
+
+    def work(self, context: bpy.types.Context) -> None:
+        asset, layer, first = result_asset(context), context.view_layer, self.target()
+        table = read_cameras(result_paths(context))
+        side = int(self.texture_side) or _GAME_SIDE
+        with dense_copy(asset, table, self.size, is_cleaned=self.is_cleaned) as dense:
+            levels = levels_of_detail(dense, self.most_faces, self.levels, 0.5)
+            for number, faces in enumerate(levels):
+                stem = f"{first.stem}_LOD{number}" if number else first.stem
+                target = first.with_stem(stem)
+                with level_of(dense, faces, side, stem) as level, reduced(level, faces, side):
+                    _write_glb(layer, level, target)
+                    if self.is_usd:
+                        _write_usd(layer, [level], target.with_suffix(".usdc"))
+        text = "Saved {name} and {count} coarser ones, standing at the origin"
+        self.report({"INFO"}, told(text, name=first.name, count=len(levels) - 1))
 
 
 class ROBIR_OT_export_textures(Operator, bpy.types.Operator):
@@ -222,24 +289,6 @@ class ROBIR_OT_mark_asset(Operator, bpy.types.Operator):
 
     def work(self, context: bpy.types.Context) -> None:
         make_asset(result_asset(context), result_paths(context))
-
-
-@contextmanager
-def _selected(layer: bpy.types.ViewLayer, chosen: list[bpy.types.Object]) -> Iterator[None]:
-    """Select some objects and no others; afterwards the selection is as it was."""
-    selected, active = list(layer.objects.selected), layer.objects.active
-    try:
-        for block in selected:
-            block.select_set(False)
-        for block in chosen:
-            block.select_set(True)
-        yield
-    finally:
-        for block in chosen:
-            block.select_set(block in selected)
-        for block in selected:
-            block.select_set(True)
-        layer.objects.active = active
 
 
 def _textures_too() -> dict[str, str | bool]:

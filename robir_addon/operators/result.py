@@ -12,12 +12,21 @@ from ..errors import ResultError
 from ..relighting.view_transform import match_view_transform
 from ..result.arrival import bring_in
 from ..result.delight import give_back, target_of
-from ..result.importer import asset_of, read_tone_curve, remove_result
-from ..result.materials import is_edited
+from ..result.few_views import hide_few_views, show_few_views
+from ..result.importer import asset_of, mark_of, read_cameras, read_tone_curve, remove_result
+from ..result.materials import coverage_file, is_edited
 from ..words import told
 from ..work.known import forget_former_spot
 from ..work.support import support_report
-from .shared import Operator, has_result, in_object_mode, is_imported, result_paths, result_root
+from .shared import (
+    Operator,
+    has_result,
+    in_object_mode,
+    is_imported,
+    result_asset,
+    result_paths,
+    result_root,
+)
 
 
 class ROBIR_OT_import_result(Operator, bpy.types.Operator):
@@ -118,6 +127,22 @@ class ROBIR_OT_match_view_transform(Operator, bpy.types.Operator):
         curve = read_tone_curve(result_paths(context))
         for note in match_view_transform(context.scene, curve):
             self.report({"WARNING"}, told(note))
+
+
+class ROBIR_OT_show_few_views(Operator, bpy.types.Operator):
+    """Tint what no photograph shows (red) and what fewer than three show (orange), where more would
+    help. Press again to undo.
+    """
+
+    bl_label = "Where to Photograph Next"
+    needs = (is_imported, in_object_mode)
+
+    def work(self, context: bpy.types.Context) -> None:
+        paths, mark = result_paths(context), mark_of(result_root(context))
+        if not hide_few_views(mark):
+            views = read_cameras(paths)["views"]
+            count = sum(view["split"] == "train" for view in views)
+            show_few_views(result_asset(context), coverage_file(paths), count, mark)
 
 
 class ROBIR_OT_open_report(Operator, bpy.types.Operator):

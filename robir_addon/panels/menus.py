@@ -10,9 +10,9 @@ _IN_ORDER = (
     ("import_result", "refresh_result", "remove_result"),
     ("pick_spot", "forget_spot", "take_sun", "forget_sun"),
     ("set_real_size", "stand_on_floor", "drop_ground", "crop_to_box"),
-    ("compare", "compare_next", "match_view_transform"),
+    ("compare", "compare_next", "show_few_views", "match_view_transform"),
     ("use_environment", "picture_lights", "into_photograph", "turntable"),
-    ("export_glb", "export_usd", "export_textures", "mark_asset"),
+    ("export_game", "export_glb", "export_usd", "export_textures", "mark_asset"),
     ("install_engine", "cancel_install", "check_engine", "remove_engine"),
     ("open_report", "copy_report", "dismiss", "allow_online"),
 )

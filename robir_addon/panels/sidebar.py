@@ -11,7 +11,7 @@ import bpy
 
 from ..capture.photographs import draw_photographs
 from ..capture.recent import recent_captures
-from ..capture.viewport import COLLECTION
+from ..capture.viewport import COLLECTION, GAP, GAPS
 from ..engine import CAN_INSTALL
 from ..operators.photographs import can_leave_out
 from ..operators.sample import is_sample
@@ -125,6 +125,9 @@ def _draw_check(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
         paragraph(box, context, fault.text, _FAULT_ICONS[fault.level], is_boxed=True)
         if fault.cure:
             paragraph(box, context, fault.cure, "BLANK1", is_boxed=True).active = False
+        gaps = bpy.data.collections.get(GAPS)
+        if fault.code == GAP and gaps is not None:
+            box.prop(gaps, "hide_viewport", text="Show Missing Sides", invert_checkbox=True)
         if can_leave_out(fault, settings):
             box.operator("robir.leave_out").finding = findings.index(fault)
     if notes:
@@ -188,6 +191,7 @@ class ROBIR_PT_result(ResultPanel, bpy.types.Panel):
         row = layout.row(align=True)
         row.operator("robir.compare", icon="IMAGE_REFERENCE")
         row.operator("robir.open_report", icon="URL")
+        row.operator("robir.show_few_views", text="", icon="HIDE_OFF")
         row.operator("robir.match_view_transform", text="", icon="COLOR")
         summary = shown_summary(settings)
         if summary is None:
@@ -260,8 +264,9 @@ class ROBIR_PT_export(ResultPanel, bpy.types.Panel):
     bl_label = "Export"
 
     def draw(self, context: bpy.types.Context) -> None:
+        self.layout.operator("robir.export_game", icon="FILE_3D")
         row = self.layout.row(align=True)
-        row.operator("robir.export_glb", icon="FILE_3D")
+        row.operator("robir.export_glb", icon="EXPORT")
         row.menu("ROBIR_MT_exports", text="Other Files")
 
 

@@ -9,7 +9,7 @@ from mathutils import Vector
 
 from ..blocks import MARK, with_mark
 from ..capture.cameras import capture_cameras, use_camera
-from .placing import ground_height
+from .placing import middle_of_foot
 
 _GROUND = "robir_shadow_ground"
 """Custom property of the ground: whether the film was transparent before."""
@@ -29,7 +29,7 @@ def set_stage(
     data.from_pydata(corners, [], [(0, 1, 2, 3)])
     floor = bpy.data.objects.new(data.name, data)
     middle = asset.matrix_world @ (sum((Vector(c) for c in asset.bound_box), Vector()) / 8)
-    floor.location = (middle.x, middle.y, ground_height(asset, ground))
+    floor.location = (middle.x, middle.y, middle_of_foot(asset, ground).z)
     floor.is_shadow_catcher, floor.hide_select = True, True
     floor.display_type = "WIRE"  # only Cycles knows shadow catchers
     floor[_GROUND], data[MARK] = scene.render.film_transparent, asset[MARK]

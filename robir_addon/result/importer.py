@@ -31,6 +31,7 @@ from ..relighting.lights import (
     turn_light,
     world_of,
 )
+from .few_views import hide_few_views
 from .glb import GlbMesh, read_glb
 from .materials import add_asset, mark_as_imported, refresh_asset, texture_sockets
 from .placing import drop_again, move_again
@@ -143,6 +144,7 @@ def _refresh(
     table, suns, mesh = read
     mark = mark_of(paths.root)
     asset, world = asset_of(paths.root), world_of(mark)
+    hide_few_views(mark)
     refresh_asset(asset, mesh, paths)
     drop_again(asset, table.get("ground"))
     mark_as_imported(asset)
@@ -272,6 +274,7 @@ def _read(path: Path, form: dict[str, Any]) -> dict[str, Any]:
 
 def _remove_objects(mark: str) -> None:
     """Remove what an earlier import made, but for the collection and the World."""
+    hide_few_views(mark)
     data = bpy.data
     kinds = (data.objects, data.meshes, data.cameras, data.lights, data.materials, data.images)
     remove_marked(mark, *kinds)

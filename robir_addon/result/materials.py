@@ -39,6 +39,12 @@ def texture_sockets(paths: JobPaths) -> list[tuple[Path, str, str]]:
     return [(f, socket, space) for socket, (f, space) in files.items() if socket not in absent]
 
 
+def coverage_file(paths: JobPaths) -> Path:
+    """Texture of the share of the photographs that see each texel, or of all its tiles."""
+    (albedo, *_), *_ = texture_sockets(paths)
+    return albedo.with_name(albedo.name.replace("albedo", "coverage"))
+
+
 def add_asset(mesh: GlbMesh, name: str, paths: JobPaths, mark: str) -> bpy.types.Object:
     """The object in the capture's frame, not yet linked to a collection."""
     data = _mesh(mesh, mark)

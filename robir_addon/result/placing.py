@@ -57,7 +57,7 @@ def stand(asset: bpy.types.Object, ground: Mapping[str, Any] | None = None) -> N
         ground: "normal" and "offset" of the plane that it stands on, capture frame. Where the
             object still has this ground, it is the foot, whatever hangs below.
     """
-    foot = _foot(asset, ground)
+    foot = middle_of_foot(asset, ground)
     _fit(asset, 1.0, -(asset.matrix_world.inverted() @ foot))
     _move_others(asset, 1.0, -foot)
     placed = asset.matrix_world.copy()
@@ -66,15 +66,10 @@ def stand(asset: bpy.types.Object, ground: Mapping[str, Any] | None = None) -> N
     asset[_STANDS] = True
 
 
-def ground_height(asset: bpy.types.Object, ground: Mapping[str, Any] | None) -> float:
-    """Where the object's foot is, world z; arguments as of `stand`."""
-    return _foot(asset, ground).z
-
-
-def _foot(asset: bpy.types.Object, ground: Mapping[str, Any] | None) -> Vector:
-    """Middle of the lower side of the object's bounds, or the ground below it; world."""
+def middle_of_foot(asset: bpy.types.Object, ground: Mapping[str, Any] | None = None) -> Vector:
+    """Middle of the lower side of the object's bounds, or the ground below it (`stand`); world."""
     # the bounds that Blender keeps are those of before a deletion
-    points = _points(asset) @ np.array(asset.matrix_world.to_3x3()).T
+    points = points_of(asset) @ np.array(asset.matrix_world.to_3x3()).T
     low, high = points.min(axis=0), points.max(axis=0)
     foot = asset.matrix_world.translation + Vector((*(0.5 * (low + high))[:2], low[2]))
     if ground is not None and _has(asset, ground):
@@ -93,9 +88,9 @@ def drop_ground(asset: bpy.types.Object, ground: Mapping[str, Any], most: float)
     What stood on the floor stands again.
     """
     delete_faces(asset, faces_of_ground(asset, ground, most))
-    crumbs = _crumbs(asset)
-    if crumbs.any():
-        delete_faces(asset, crumbs)
+    lost = crumbs(asset)
+    if lost.any():
+        delete_faces(asset, lost)
     asset[_DROPPED] = most
     if asset.get(_STANDS):
         stand(asset)
@@ -158,7 +153,7 @@ def delete_faces(asset: bpy.types.Object, chosen: np.ndarray) -> None:
     asset.data.update()
 
 
-def _crumbs(asset: bpy.types.Object) -> np.ndarray:
+def crumbs(asset: bpy.types.Object) -> np.ndarray:
     """Which faces belong to parts of few faces that touch no other part, (F,) bool."""
     corners = _corners(asset).astype(np.float32)  # seams of the texture part vertices, not places
     _, place = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
@@ -182,7 +177,7 @@ def _has(asset: bpy.types.Object, ground: Mapping[str, Any]) -> bool:
         return False
 
 
-def _points(asset: bpy.types.Object) -> np.ndarray:
+def points_of(asset: bpy.types.Object) -> np.ndarray:
     """(V, 3) vertices, object frame."""
     points = np.empty(3 * len(asset.data.vertices), np.float32)
     asset.data.vertices.foreach_get("co", points)
@@ -197,7 +192,7 @@ def _corners(asset: bpy.types.Object) -> np.ndarray:
         raise ResultError("the object has faces that are no triangles; it was edited too far")
     index = np.empty(3 * len(data.polygons), np.int32)
     data.loops.foreach_get("vertex_index", index)
-    return _points(asset)[index.reshape(-1, 3)].astype(np.float64)
+    return points_of(asset)[index.reshape(-1, 3)].astype(np.float64)
 
 
 def _fit(asset: bpy.types.Object, factor: float, shift: Vector) -> None:

@@ -10,11 +10,13 @@ _STEP = 0.25  # faces of a level of detail as a share of the one before
 _FEWEST = 4
 
 
-def levels_of_detail(asset: bpy.types.Object, most_faces: int, count: int) -> list[int]:
-    """Faces of each level, the finest first."""
+def levels_of_detail(
+    asset: bpy.types.Object, most_faces: int, count: int, step: float = _STEP
+) -> list[int]:
+    """Faces of each level, the finest first; each has a share of those of the one before."""
     faces = len(asset.data.polygons)
     finest = min(faces, most_faces) if most_faces else faces
-    return [max(_FEWEST, round(finest * _STEP**level)) for level in range(count)]
+    return [max(_FEWEST, round(finest * step**level)) for level in range(count)]
 
 
 @contextmanager

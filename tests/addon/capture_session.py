@@ -228,13 +228,21 @@ def millimetres(capture):
             row[3] = row[3] * 240.0 / facts["radius"] + 795.0
     middle = [c * 240.0 / facts["radius"] + 795.0 for c in facts["centre"]]
     facts |= {"centre": middle, "radius": 240.0}
+    gap = {"missing": [[0, 0, 1], [0.6, 0, 0.8]], "gap_direction": [0, 0, 1]}
+    facts["findings"] = [{"code": "coverage-gap", "numbers": gap}]
     list(module("capture.viewport").show_capture(bpy.context.scene, facts))
     answer["large"] = seen_bounds()
+    shown = bpy.data.collections["Not photographed"].objects
+    patches = shown["Not photographed"].data.polygons
+    answer["missing"] = [list(patch.center) for patch in patches]
+    answer["arrow"] = list(shown["Photograph from here"].matrix_world.col[2][:3])
     bpy.ops.robir.add_box()
     answer["box"] = list(module("work.worker").box_of(settings()))
     answer["sphere"] = [*middle, 480.0, 480.0, 480.0]
     bpy.ops.robir.clear_capture()
     answer["cleared"] = bpy.data.objects["Cube"].visible_get()
+    kinds = (bpy.data.collections, bpy.data.objects, bpy.data.meshes, bpy.data.materials)
+    answer["left"] = [block.name for kind in kinds for block in kind if "robir_capture" in block]
     return answer
 
 

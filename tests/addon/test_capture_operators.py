@@ -157,7 +157,10 @@ def test_a_capture_in_millimetres_is_shown_at_a_size_to_work_with(own_blender, s
         assert shown["cube"] is False, "what Blender starts with hides the object"
         np.testing.assert_allclose(shown["distances"], answer["plain"]["distances"], rtol=0.3)
     np.testing.assert_allclose(answer["box"], answer["sphere"], rtol=1e-3)
-    assert answer["cleared"] is True
+    # the sides that no photograph shows, on bounds of radius one about (0, 0, 1)
+    np.testing.assert_allclose(answer["missing"], [[0, 0, 2], [0.6, 0, 1.8]], atol=1e-5)
+    np.testing.assert_allclose(answer["arrow"], [0, 0, -1], atol=1e-5)
+    assert answer["cleared"] is True and answer["left"] == []
 
 
 def test_tasks_are_followed_and_stopped(own_blender, session):

@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The object as games want it: on the floor, of few triangles, its fine shape in a normal map.
+
+All is done to copies that are there for as long as files are written.
+"""
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from typing import Any
+
+import bpy
+from mathutils import Matrix
+
+from ..blocks import MARK, only_selected
+from ..errors import ResultError
+from .placing import GROUND_SHARE, crumbs, delete_faces, faces_of_ground, middle_of_foot, points_of
+from .reducing import reduced
+
+_CAGE = 0.02  # how far from the coarse surface the fine one is looked for, longest sides
+_MARGIN = 8  # texels that the normal map goes on beyond its charts
+
+
+@contextmanager
+def dense_copy(
+    asset: bpy.types.Object, table: Mapping[str, Any], size: float, *, is_cleaned: bool
+) -> Iterator[bpy.types.Object]:
+    """A copy that stands at the origin without a transform, so long (0: as it is), in the scene.
+
+    Where it is cleaned, the ground of cameras.json is gone, and what then hangs on nothing.
+    """
+    copy = asset.copy()
+    copy.data = asset.data.copy()
+    meshes = [copy.data]
+    for block in (copy, copy.data):
+        del block[MARK]  # it is no result of its own
+    asset.users_collection[0].objects.link(copy)
+    try:
+        if is_cleaned:
+            _clean(copy, table)
+        copy.data = _evaluated(copy)
+        meshes.append(copy.data)
+        copy.modifiers.clear()
+        copy.parent = None
+        copy.data.transform(asset.matrix_world)
+        copy.matrix_world = Matrix()
+        if size:
+            copy.data.transform(Matrix.Scale(size / np.ptp(points_of(copy), axis=0).max(), 4))
+        copy.data.transform(Matrix.Translation(-middle_of_foot(copy)))
+        yield copy
+    finally:
+        bpy.data.batch_remove([copy, *meshes])
+
+
+@contextmanager
+def level_of(
+    dense: bpy.types.Object, faces: int, side: int, name: str
+) -> Iterator[bpy.types.Object]:
+    """A coarser copy under a name, whose material has the dense one's shape as a normal map."""
+    with reduced(dense, faces, 0):
+        modifier = dense.modifiers.new("RobIR triangles", "TRIANGULATE")
+        try:
+            data = _evaluated(dense)
+        finally:
+            dense.modifiers.remove(modifier)
+    level = bpy.data.objects.new(name, data)
+    dense.users_collection[0].objects.link(level)
+    bumps = bpy.data.images.new(f"{name} normal", side, side)
+    bumps.colorspace_settings.name = "Non-Color"
+    materials = [m.copy() for m in data.materials if m is not None]
+    try:
+        own = data.attributes.get("custom_normal")  # of the dense mesh; the map holds them
+        if own is not None:
+            data.attributes.remove(own)
+        data.materials.clear()
+        for material in materials:
+            data.materials.append(material)
+        textures = [_normal_node(material, bumps) for material in materials]
+        _bake(dense, level)
+        bumps.pack()
+        data.transform(Matrix.Translation((0.0, 0.0, -middle_of_foot(level).z)))
+        for material, texture in zip(materials, textures, strict=True):
+            _connect(material, texture)
+        yield level
+    finally:
+        bpy.data.batch_remove([level, data, *materials, bumps])
+
+
+def _clean(copy: bpy.types.Object, table: Mapping[str, Any]) -> None:
+    with suppress(ResultError):  # there is nothing of it, or nothing else
+        if table.get("ground"):
+            most = GROUND_SHARE * table["bounds"]["radius"]
+            delete_faces(copy, faces_of_ground(copy, table["ground"], most))
+    with suppress(ResultError):
+        delete_faces(copy, crumbs(copy))
+
+
+def _evaluated(shown: bpy.types.Object) -> bpy.types.Mesh:
+    """A mesh of its own with what the modifiers do."""
+    graph = bpy.context.evaluated_depsgraph_get()
+    return bpy.data.meshes.new_from_object(
+        shown.evaluated_get(graph), preserve_all_data_layers=True, depsgraph=graph
+    )
+
+
+def _normal_node(material: bpy.types.Material, bumps: bpy.types.Image) -> bpy.types.Node:
+    """The texture that is baked into: the active one."""
+    nodes = material.node_tree.nodes
+    texture = nodes.new("ShaderNodeTexImage")
+    texture.image, nodes.active = bumps, texture
+    return texture
+
+
+def _connect(material: bpy.types.Material, texture: bpy.types.Node) -> None:
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    tangent = nodes.new("ShaderNodeNormalMap")
+    links.new(texture.outputs["Color"], tangent.inputs["Color"])
+    for shader in [n for n in nodes if n.type == "BSDF_PRINCIPLED"]:
+        links.new(tangent.outputs["Normal"], shader.inputs["Normal"])
+
+
+def _bake(dense: bpy.types.Object, level: bpy.types.Object) -> None:
+    scene, layer = bpy.context.scene, bpy.context.view_layer
+    engine, samples = scene.render.engine, scene.cycles.samples
+    scene.render.engine, scene.cycles.samples = "CYCLES", 1
+    try:
+        with only_selected(layer, [dense, level], level):
+            bpy.ops.object.bake(
+                type="NORMAL",
+                use_selected_to_active=True,
+                cage_extrusion=_CAGE * max(level.dimensions),
+                margin=_MARGIN,
+                use_clear=True,
+            )
+    except RuntimeError as fault:
+        raise ResultError("the normal map cannot be baked ({fault})", fault=fault) from fault
+    finally:
+        scene.render.engine, scene.cycles.samples = engine, samples
