@@ -32,7 +32,7 @@ SOURCE = ROOT / "robir_addon"
 EPOCH = (1980, 1, 1, 0, 0, 0)
 BILL = "sbom.cdx.json"
 COMPILED = (".so", ".pyd", ".dll", ".dylib")
-INSTALLER = ("install.py", "lock.py", "pip.py", "remove.py", "hashes*.txt")
+INSTALLER = ("install.py", "pip.py", "remove.py", "hashes*.txt")
 
 
 class BuildError(Exception):

@@ -8,8 +8,6 @@ from pathlib import Path
 
 import bpy
 
-from .home import ADDON, CODE
-
 _LOAD = """
 import sys
 from importlib.util import module_from_spec, spec_from_file_location
@@ -45,3 +43,15 @@ def blender_command(words: Sequence[str]) -> tuple[list[str], dict[str, str]]:
     # -P: what this process imports decides, not what lies in the current folder
     start = [sys.executable, "-P", "-c", _LOAD, str(CODE)]
     return [*start, *words], {**os.environ, "PYTHONPATH": search_path}
+
+
+ADDON = __package__  # name under which Blender knows the extension
+CODE = Path(__file__).parent
+
+
+def own_folder(*, create: bool) -> Path | None:
+    """Where what updates leave alone lies; None where RobIR runs from a checkout."""
+    try:
+        return Path(bpy.utils.extension_path_user(ADDON, create=create))
+    except ValueError:
+        return None

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Errors whose message is meant for the user; the exit codes are those of the command line."""
 
-from .engine.sentences import Sentence
+from .engine.errors import Sentence
 
 
 class AddonError(Exception):

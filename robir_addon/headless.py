@@ -30,9 +30,8 @@ from .capture.foreign_mesh import SUFFIXES, bound, convert, convert_apart
 from .errors import AddonError, RequestError, ResultError
 from .gateway import JobPaths, file_in
 from .relighting.lights import SHOWN_LIGHTS, found_environment, show_environment, turn_light
-from .relighting.lut import ToneTable, read_tone_table
 from .relighting.rendering import cut_short, prepare_scene, render_still, set_threads, write_film
-from .relighting.view_transform import match_view_transform
+from .relighting.view_transform import ToneTable, match_view_transform, read_tone_table
 from .result.asset import fill_simple_name, leave_machine, make_asset
 from .result.importer import import_result, read_tone_curve
 from .result.placing import stand

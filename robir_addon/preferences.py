@@ -15,8 +15,8 @@ import bpy
 from bpy.props import EnumProperty, StringProperty
 
 from . import engine, gateway
+from .child import own_folder
 from .engine import EngineError, Place, Sentence, Status
-from .home import own_folder
 from .paragraphs import paragraph
 from .words import told, words
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import bpy
 
-from .engine.sentences import Sentence
+from .engine.errors import Sentence
 
 _LOCALE = Path(__file__).with_name("locale")
 _ANY = "*"  # Blender's name for what a catalogue gives no context

@@ -2,10 +2,14 @@
 """The capture's photographs as a list with a tick each: which take part, and what was noticed."""
 
 from collections.abc import Iterable
+from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import bpy
 
+from ..child import own_folder
+from ..gateway import read_json, write_json
 from ..words import words
 from .viewport import small_copy_name
 
@@ -63,3 +67,45 @@ def list_photographs(settings: Any, names: Iterable[str], findings: list[dict[st
 def left_out_of(settings: Any) -> tuple[str, ...]:
     """Names of the photographs that the user has left out."""
     return tuple(p.name for p in settings.photographs if not p.is_used)
+
+
+_MOST = 6
+_NAME = "recent.json"
+
+_known: list[tuple[str, str]] = []
+"""Capture and chosen result folder, absolute; read once, for panels show them."""
+
+
+def remember(capture: Path, out: str) -> None:
+    """Put a capture at the head of the list; an empty `out` means beside it."""
+    entry = (str(capture), out)
+    _known[:] = [entry, *(known for known in _known if known[0] != entry[0])][:_MOST]
+    folder = own_folder(create=True)
+    if folder is not None:
+        with suppress(OSError):  # the list is a help, no reason to stop
+            write_json(folder / _NAME, {"captures": _known})
+
+
+def recent_captures() -> list[str]:
+    """Captures, the latest first; touches no file."""
+    return [capture for capture, _ in _known]
+
+
+def result_of(capture: Path) -> str:
+    """Result folder that was chosen for a capture; empty for the one beside it."""
+    return next((out for known, out in _known if known == str(capture)), "")
+
+
+def register() -> None:
+    """Read what earlier sessions have kept; a damaged list is an empty one."""
+    folder = own_folder(create=False)
+    try:
+        kept = read_json(folder / _NAME)["captures"] if folder is not None else []
+        _known[:] = [(str(capture), str(out)) for capture, out in kept][:_MOST]
+    except (OSError, ValueError, KeyError, TypeError):
+        _known.clear()
+
+
+def unregister() -> None:
+    """Forget what was read."""
+    _known.clear()

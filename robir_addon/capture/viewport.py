@@ -15,8 +15,6 @@ import bpy
 from mathutils import Vector
 
 from .cameras import SENSOR_WIDTH, add_camera
-from .framing import frame
-from .startup import put_aside
 
 COLLECTION = "RobIR capture"
 
@@ -219,3 +217,90 @@ def _small_copy(file: Path, view_name: str) -> bpy.types.Image | None:
 def small_copy_name(view_name: str) -> str:
     """Name of the small copy of a photograph."""
     return f"{view_name} small"
+
+
+_ASIDE = "robir_aside"  # custom property of what was hidden here
+_LIGHT_AT = (4.076, 1.005, 5.904)
+_LIGHT_WATTS = 1000.0
+
+
+def put_aside(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> list[str]:
+    """Hide the untouched Cube and Light of Blender's startup file; their names."""
+    names = []
+    for obj in scene.objects:
+        if obj.name not in view_layer.objects or not (_is_cube(obj) or _is_light(obj)):
+            continue
+        if obj.hide_render or obj.hide_get(view_layer=view_layer):
+            continue
+        obj.hide_set(True, view_layer=view_layer)
+        obj.hide_render = True
+        obj[_ASIDE] = True
+        names.append(obj.name)
+    return names
+
+
+def bring_back(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> None:
+    """Show again what `put_aside` has hidden."""
+    for obj in scene.objects:
+        if _ASIDE in obj:
+            del obj[_ASIDE]
+            obj.hide_render = False
+            if obj.name in view_layer.objects:
+                obj.hide_set(False, view_layer=view_layer)
+
+
+def _is_cube(obj: bpy.types.Object) -> bool:
+    if obj.type != "MESH" or obj.name != "Cube" or obj.modifiers or not _is_at(obj, (0, 0, 0)):
+        return False
+    vertices = obj.data.vertices
+    return len(vertices) == 8 and all(abs(x) == 1.0 for v in vertices for x in v.co)
+
+
+def _is_light(obj: bpy.types.Object) -> bool:
+    if obj.type != "LIGHT" or obj.name != "Light" or not _is_at(obj, _LIGHT_AT):
+        return False
+    return obj.data.type == "POINT" and abs(obj.data.energy - _LIGHT_WATTS) < 1e-3
+
+
+def _is_at(obj: bpy.types.Object, place: tuple[float, float, float]) -> bool:
+    unscaled = all(abs(s - 1.0) < 1e-5 for s in obj.scale)
+    return unscaled and all(abs(a - b) < 1e-3 for a, b in zip(obj.location, place, strict=True))
+
+
+_ROOM = 1.15  # how much farther off the view is than it need be
+
+
+def frame(scene: bpy.types.Scene, centre: Sequence[float], radius: float) -> None:
+    """Make the viewports of a scene look at a sphere, world."""
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas if window.scene == scene else ():
+            if area.type == "VIEW_3D":
+                _frame_area(area, Vector(centre), radius)
+
+
+def _frame_area(area: bpy.types.Area, centre: Vector, radius: float) -> None:
+    space = area.spaces.active
+    view = space.region_3d
+    if view.view_perspective == "CAMERA":
+        view.view_perspective = "PERSP"
+    width, height, left, right = _free_room(area)
+    # Blender's viewport shows 72 mm along its longer side
+    longer = max(width, height)
+    half = 36.0 / space.lens * width / longer, 36.0 / space.lens * height / longer
+    share = max(0.2, (width - left - right) / width)
+    distance = _ROOM * radius * (1.0 + 1.0 / min(share * half[0], half[1]) ** 2) ** 0.5
+    aside = Vector(((right - left) / width * half[0] * distance, 0.0, 0.0))
+    view.view_location = centre + view.view_rotation @ aside
+    view.view_distance = distance
+    space.clip_start = min(space.clip_start, 1e-3 * radius)
+    space.clip_end = max(space.clip_end, 20.0 * distance)
+
+
+def _free_room(area: bpy.types.Area) -> tuple[int, int, int, int]:
+    """Width and height of the viewport, and how much lies under tools and sidebar."""
+    whole = next(region for region in area.regions if region.type == "WINDOW")
+    under = {"TOOLS": 0, "UI": 0}
+    for region in area.regions:
+        if region.type in under and region.width > 1 and region.x < whole.x + whole.width:
+            under[region.type] = region.width if region.x >= whole.x else 0
+    return whole.width, whole.height, under["TOOLS"], under["UI"]

@@ -7,7 +7,7 @@ here imports Blender, and nothing ever installs into Blender's Python.
 
 from pathlib import Path
 
-from .errors import EngineError
+from .errors import EngineError, Sentence
 from .existing import Facts, inspect, interpreter
 from .places import (
     CHOOSE_EXISTING,
@@ -18,7 +18,6 @@ from .places import (
     constraints,
     worker_command,
 )
-from .sentences import Sentence
 from .states import Status, read_record, status, wheel_version
 
 CAN_INSTALL = Path(__file__).with_name("install.py").is_file()  # else one that is there is used

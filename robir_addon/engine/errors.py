@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The one error of the engine: what is wrong, and what to do about it."""
 
-from .sentences import Sentence
-
 
 class EngineError(Exception):
     """The engine cannot be made, found, used or removed.
@@ -21,3 +19,21 @@ class EngineError(Exception):
         self.message, self.cure = Sentence(message, **values), Sentence(cure, **values)
         self.sentences = (self.message, self.cure)
         super().__init__(f"{self.message}; {self.cure}")
+
+
+class Sentence(str):
+    """English text whose fields are filled; this package itself knows no other language.
+
+    Attributes:
+        text: With its fields in braces, as catalogues know it.
+        values: What the fields are filled with, by name.
+    """
+
+    text: str
+    values: dict[str, object]
+
+    def __new__(cls, text: str, /, **values: object) -> "Sentence":
+        """Fill the fields; a text without values may hold braces of its own."""
+        sentence = super().__new__(cls, text.format(**values) if values else text)
+        sentence.text, sentence.values = text, values
+        return sentence

@@ -25,9 +25,9 @@ from typing import Any
 
 from .errors import EngineError
 from .existing import inspect
-from .lock import engine_lock
 from .pip import MEBIBYTE, Pip, Progress
 from .places import CHOOSE_EXISTING, Place
+from .remove import engine_lock
 from .states import GO_ON, INSTALL, Record, read_record, wheel_hash, wheel_version, write_record
 
 CPU_INDEX = "https://download.pytorch.org/whl/cpu"
@@ -53,7 +53,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     try:
         with _stopped_by_signals():
-            record = install(options, _say_progress)
+            record = install(
+                options, lambda share, text: _say({"progress": round(share, 4), "message": text})
+            )
     except EngineError as error:
         _say({"error": error.message, "cure": error.cure})
         sys.stderr.write(f"{error}\n")
@@ -91,19 +93,20 @@ def _install(place: Place, options: argparse.Namespace, progress: Progress) -> R
     place.record.unlink(missing_ok=True)
     place.log.unlink(missing_ok=True)
     shutil.rmtree(place.unfinished, ignore_errors=True)
-    steps = _Steps(progress)
-    pip = _environment_with_pip(place, options.wheels, steps.of("environment"))
+    pip = _environment_with_pip(place, options.wheels, _step(progress, "environment"))
     if options.wheels is None and not pip.can_resume:
         with suppress(EngineError):  # an old one works too, it begins a broken file again
-            pip.install(_hashed(options, PIP_HASHES), 2 * MEBIBYTE, steps.of("pip"), "pip")
+            pip.install(_hashed(options, PIP_HASHES), 2 * MEBIBYTE, _step(progress, "pip"), "pip")
     if before is not None and before.torch_build != options.torch:
         pip.uninstall("torch")
     if before is None or before.wheel_sha256 != wheel_hash(options.wheel):
         pip.uninstall("robir")
     # torch last: what nobody offers for this Python is told before gigabytes are fetched
-    pip.install(_robir_words(options), OTHER_BYTES, steps.of("robir"), "RobIR")
-    pip.install(_torch_words(options), TORCH_BYTES[options.torch], steps.of("torch"), "torch")
-    steps.of("check")(0.0, "checking the engine")
+    pip.install(_robir_words(options), OTHER_BYTES, _step(progress, "robir"), "RobIR")
+    pip.install(
+        _torch_words(options), TORCH_BYTES[options.torch], _step(progress, "torch"), "torch"
+    )
+    _step(progress, "check")(0.0, "checking the engine")
     record = _checked(place, options)
     shutil.rmtree(place.cache, ignore_errors=True)
     write_record(place, record)
@@ -225,21 +228,11 @@ def _size(folder: Path) -> int:
     return sum(file.lstat().st_size for file in files)
 
 
-class _Steps:
-    """Turns the progress of each step into that of the whole."""
-
-    def __init__(self, progress: Progress) -> None:
-        self._progress = progress
-
-    def of(self, step: str) -> Progress:
-        """Progress of one step."""
-        names = list(STEPS)
-        begin = sum(STEPS[name] for name in names[: names.index(step)])
-
-        def report(share: float, message: str) -> None:
-            self._progress(begin + STEPS[step] * share, message)
-
-        return report
+def _step(whole: Progress, step: str) -> Progress:
+    """Progress of one step as a part of that of the whole."""
+    names = list(STEPS)
+    begin = sum(STEPS[name] for name in names[: names.index(step)])
+    return lambda share, message: whole(begin + STEPS[step] * share, message)
 
 
 def _absolute(text: str) -> Path:
@@ -278,10 +271,6 @@ def _stopped_by_signals() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGTERM, before)
-
-
-def _say_progress(fraction: float, message: str) -> None:
-    _say({"progress": round(fraction, 4), "message": message})
 
 
 def _say(report: dict[str, Any]) -> None:

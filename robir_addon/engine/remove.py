@@ -9,12 +9,11 @@ lines {"progress": 0..1, "message": ...}, and at the end {"left": [names]} or {"
 import json
 import os
 import sys
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from .errors import EngineError
-from .lock import engine_lock
 from .places import Place
 
 _EVERY = 200  # files between two reports
@@ -87,3 +86,34 @@ def _remove_folder(folder: Path, progress: Progress) -> None:
             inner.unlink() if inner.is_symlink() else inner.rmdir()
     if folder.exists():
         folder.rmdir()
+
+
+if sys.platform == "win32":
+    import msvcrt
+
+    def _try_lock(handle: int) -> None:
+        """Lock the first byte."""
+        msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
+
+else:
+    import fcntl
+
+    def _try_lock(handle: int) -> None:
+        """Lock the whole file."""
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+@contextmanager
+def engine_lock(path: Path) -> Iterator[None]:
+    """Hold the lock file for the length of the block; the file stays."""
+    handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+    try:
+        try:
+            _try_lock(handle)
+        except OSError:
+            raise EngineError(
+                "another process is installing or removing the engine", "wait until it is done"
+            ) from None
+        yield
+    finally:
+        os.close(handle)

@@ -9,8 +9,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Literal
 
+from .errors import Sentence
 from .places import Place
-from .sentences import Sentence
 
 State = Literal["missing", "incomplete", "outdated", "ready"]
 Build = Literal["CPU", "CUDA"]

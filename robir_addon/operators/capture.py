@@ -5,13 +5,12 @@ from pathlib import Path
 from typing import Any
 
 import bpy
-from bpy.props import BoolProperty, StringProperty
+from bpy.props import BoolProperty, IntProperty, StringProperty
 
 from ..blocks import select_alone
 from ..capture import viewport
-from ..capture.photographs import list_photographs
-from ..capture.recent import result_of
-from ..capture.startup import bring_back
+from ..capture.photographs import list_photographs, result_of
+from ..capture.viewport import bring_back
 from ..engine import EngineError
 from ..errors import AddonError
 from ..gateway import client
@@ -19,7 +18,15 @@ from ..preferences import engine_python
 from ..words import told
 from ..work import monitor
 from ..work.worker import absolute, in_panel_words, program, request_of, result_folder
-from .shared import Operator, WaitingOperator, at_rest, has_capture, is_engine_coming, may_choose
+from .shared import (
+    Operator,
+    WaitingOperator,
+    at_rest,
+    has_capture,
+    is_engine_coming,
+    may_choose,
+    unless,
+)
 
 _FORMATS = {
     "nerf-synthetic": "NeRF-synthetic",
@@ -271,3 +278,41 @@ def look_at_waiting(context: bpy.types.Context) -> None:
     if state.looked_at != context.scene.robir.capture and not bpy.app.background:
         with monitor.in_window():
             bpy.ops.robir.look_at_capture("INVOKE_DEFAULT", is_chosen=True)
+
+
+MISSING = "missing-images"  # code of the finding that poses have no photograph
+
+
+_has_findings = unless(lambda c: c.window_manager.robir.findings, "Look at the capture first")
+
+
+class ROBIR_OT_leave_out(WaitingOperator, bpy.types.Operator):
+    """Do without the photographs that this finding names, and look at the capture again; the list
+    of photographs takes them back.
+    """
+
+    bl_label = "Leave Out"
+    needs = (has_capture, at_rest, _has_findings)
+
+    finding: IntProperty(
+        name="Finding", description="Its place in the list of findings", options={"SKIP_SAVE"}
+    )
+
+    def begin(self, context: bpy.types.Context, way: str) -> set[str]:
+        settings = context.scene.robir
+        findings = context.window_manager.robir.findings
+        finding = findings[min(self.finding, len(findings) - 1)]
+        if finding.code == MISSING:
+            settings.skip_missing = True
+        for name in finding.files.splitlines():
+            photograph = settings.photographs.get(name)
+            if photograph is not None:
+                photograph.is_used = False
+        return bpy.ops.robir.look_at_capture(way)
+
+
+def can_leave_out(finding: bpy.types.AnyType, settings: bpy.types.AnyType) -> bool:
+    """Whether a finding names photographs that the capture may do without."""
+    names = finding.files.splitlines()
+    known = settings.photographs
+    return finding.code == MISSING or any(n in known and known[n].is_used for n in names)

@@ -11,10 +11,9 @@ from ..blocks import MARK
 from ..capture.cameras import VIEW
 from ..errors import AddonError
 from ..gateway import JobPaths
-from ..result.captions import CAPTIONS
 from ..result.comparison import Comparison, compare, neighbour
 from ..result.importer import mark_of, read_cameras
-from ..result.pictures import put_image, show_image
+from ..result.pictures import CAPTIONS, put_image, show_image
 from ..words import told, words
 from .shared import Operator, has_result, result_paths
 

@@ -19,7 +19,7 @@ from ..words import told
 from ..work import monitor
 from ..work.worker import in_panel_words
 from .capture import look_at_waiting
-from .shared import Operator, at_rest, has_engine, refused
+from .shared import Operator, WaitingOperator, at_rest, has_engine, refused, unless
 
 OFFLINE = "Blender is not allowed to go online"
 _ALLOW = (
@@ -122,19 +122,11 @@ def _is_managed(context: bpy.types.Context) -> str:
     return ""
 
 
-def _is_wanted(context: bpy.types.Context) -> str:
-    is_ready = engine_status(context).state == "ready"
-    return told("The engine is installed") if is_ready else ""
-
-
-def _is_there(context: bpy.types.Context) -> str:
-    is_missing = engine_status(context).state == "missing"
-    return told("There is no engine to remove") if is_missing else ""
-
-
-def _is_installing(context: bpy.types.Context) -> str:
-    at_work = context.window_manager.robir.task == "install"
-    return "" if at_work else told("No installation is at work")
+_is_wanted = unless(lambda c: engine_status(c).state != "ready", "The engine is installed")
+_is_there = unless(lambda c: engine_status(c).state != "missing", "There is no engine to remove")
+_is_installing = unless(
+    lambda context: context.window_manager.robir.task == "install", "No installation is at work"
+)
 
 
 class _EngineOperator(Operator):
@@ -297,3 +289,47 @@ def _tell(error: str, cure: str) -> None:
 
 def _sentence(text: str) -> str:
     return text[:1].upper() + text[1:]
+
+
+class ROBIR_OT_dismiss(Operator, bpy.types.Operator):
+    """Put this notice away; nothing else changes."""
+
+    bl_label = "Dismiss"
+    bl_options = {"REGISTER"}
+    needs = (unless(lambda c: has_notice(c.window_manager.robir), "There is no notice"),)
+
+    def work(self, context: bpy.types.Context) -> None:
+        """What was said is forgotten wherever an operator begins."""
+
+
+class ROBIR_OT_allow_online(WaitingOperator, bpy.types.Operator):
+    """Turn on Allow Online Access in Blender's preferences, which holds for all extensions, and
+    install the engine.
+    """
+
+    bl_label = "Allow Online Access and Install"
+    bl_options = {"REGISTER"}
+    needs = (
+        unless(
+            lambda context: (
+                not (bpy.app.online_access_override or context.preferences.system.use_online_access)
+            ),
+            "Online access is decided already",
+        ),
+    )
+
+    def begin(self, context: bpy.types.Context, way: str) -> set[str]:
+        context.preferences.system.use_online_access = True
+        monitor.show_problem("")
+        # a script installs by itself
+        return bpy.ops.robir.install_engine(way) if way == "INVOKE_DEFAULT" else {"FINISHED"}
+
+
+def has_notice(state: bpy.types.AnyType) -> bool:
+    """Whether there is something to be said that the work at hand does not say itself."""
+    return bool(state.error or (state.message and not state.task))
+
+
+def is_offline(state: bpy.types.AnyType) -> bool:
+    """Whether the notice is that the permission to go online is missing."""
+    return state.error == told(OFFLINE)

@@ -13,9 +13,8 @@ from ..blocks import MARK, only_selected
 from ..errors import RequestError, ResultError
 from ..relighting.lights import lamps_of
 from ..result.asset import make_asset
-from ..result.game import dense_copy, level_of
+from ..result.game import dense_copy, level_of, levels_of_detail, reduced
 from ..result.importer import asset_of, read_cameras
-from ..result.reducing import levels_of_detail, reduced
 from ..words import told
 from .shared import (
     Operator,
@@ -25,6 +24,7 @@ from .shared import (
     result_asset,
     result_paths,
     result_root,
+    unless,
 )
 
 _GAME_FACES, _GAME_SIDE = 10_000, 2048  # triangles, and the textures' longer side
@@ -136,10 +136,6 @@ def _write_glb(layer: bpy.types.ViewLayer, asset: bpy.types.Object, target: Path
         )
 
 
-def _knows_usd(_context: bpy.types.Context) -> str:
-    return "" if bpy.app.build_options.usd else told("This Blender was built without USD")
-
-
 class ROBIR_OT_export_usd(_SaveAs, Operator, bpy.types.Operator):
     """Save the imported object as USD, with its textures, the World as a dome light and the Sun
     lamps that shine.
@@ -147,7 +143,10 @@ class ROBIR_OT_export_usd(_SaveAs, Operator, bpy.types.Operator):
 
     bl_label = "Export USD"
     bl_options = {"REGISTER"}
-    needs = (_knows_usd, is_imported)
+    needs = (
+        unless(lambda _: bpy.app.build_options.usd, "This Blender was built without USD"),
+        is_imported,
+    )
 
     filename_ext = ".usdc"
     filter_glob: StringProperty(default="*.usdc", options={"HIDDEN"})

@@ -13,11 +13,11 @@ from ..preferences import engine_python
 from ..words import told
 from ..work import batch
 from ..work.worker import program
-from .shared import Operator, has_engine
+from .shared import Operator, has_engine, unless
 
-
-def _has_library(context: bpy.types.Context) -> str:
-    return "" if context.scene.robir.library else told("Choose a library, or run a batch first")
+_has_library = unless(
+    lambda context: context.scene.robir.library, "Choose a library, or run a batch first"
+)
 
 
 class ROBIR_OT_run_batch(Operator, bpy.types.Operator):

@@ -2,13 +2,16 @@
 """Real size and place of a result, and its ground or surroundings taken away."""
 
 import bpy
+import gpu
 from bpy.props import FloatProperty, FloatVectorProperty
 from bpy_extras.view3d_utils import region_2d_to_origin_3d, region_2d_to_vector_3d
+from gpu_extras.batch import batch_for_shader
 from mathutils import Vector
 
 from ..errors import RequestError, ResultError
-from ..result.importer import read_cameras
-from ..result.materials import is_edited, mark_as_imported
+from ..result.importer import asset_of, read_cameras
+from ..result.known import show_spot, sun_direction, texel_at, textured_object
+from ..result.materials import no_edit
 from ..result.placing import (
     GROUND_SHARE,
     delete_faces,
@@ -17,9 +20,17 @@ from ..result.placing import (
     scale_result,
     stand,
 )
-from ..result.ruler import Ruler
 from ..words import told, words
-from .shared import Operator, in_object_mode, is_imported, result_asset, result_paths
+from ..work.known import forget_spot, remember_spot
+from .shared import (
+    Operator,
+    in_object_mode,
+    is_imported,
+    result_asset,
+    result_paths,
+    result_root,
+    unless,
+)
 
 _PLACING = (is_imported, in_object_mode)
 
@@ -105,10 +116,8 @@ class ROBIR_OT_set_real_size(ClickingOperator, bpy.types.Operator):
         measured = (Vector(self.second) - Vector(self.first)).length
         if measured <= 0.0 or self.length <= 0.0:
             raise RequestError("no length was given; click two points apart and say how far")
-        was_edited = is_edited(asset)
-        scale_result(asset, self.length / measured)
-        if not was_edited:
-            mark_as_imported(asset)
+        with no_edit(asset):
+            scale_result(asset, self.length / measured)
         context.view_layer.update()
         size = max(asset.dimensions)
         text = "{name} is {size:.4g} units in its longest direction"
@@ -125,10 +134,8 @@ class ROBIR_OT_stand_on_floor(Operator, bpy.types.Operator):
 
     def work(self, context: bpy.types.Context) -> None:
         asset, table = result_asset(context), read_cameras(result_paths(context))
-        was_edited = is_edited(asset)
-        stand(asset, table.get("ground"))
-        if not was_edited:
-            mark_as_imported(asset)
+        with no_edit(asset):
+            stand(asset, table.get("ground"))
 
 
 class ROBIR_OT_drop_ground(Operator, bpy.types.Operator):
@@ -155,10 +162,8 @@ class ROBIR_OT_drop_ground(Operator, bpy.types.Operator):
                 "this result has no flat ground; Crop to Box takes away what is not wanted"
             )
         asset = result_asset(context)
-        was_edited = is_edited(asset)
-        drop_ground(asset, plane, self.height * table["bounds"]["radius"])
-        if not was_edited:
-            mark_as_imported(asset)  # a newer mesh loses its ground as well
+        with no_edit(asset):
+            drop_ground(asset, plane, self.height * table["bounds"]["radius"])
 
 
 class ROBIR_OT_crop_to_box(Operator, bpy.types.Operator):
@@ -201,3 +206,118 @@ def _point_under_mouse(
 def _is_over(region: bpy.types.Region, event: bpy.types.Event) -> bool:
     x, y = event.mouse_x - region.x, event.mouse_y - region.y
     return 0 <= x < region.width and 0 <= y < region.height
+
+
+class ROBIR_OT_pick_spot(ClickingOperator, bpy.types.Operator):
+    """Click a spot of the object whose colour without light you know: a grey card, a label, a known
+    paint. A script takes the one at the 3D cursor.
+    """
+
+    bl_label = "Pick Spot"
+
+    def asset(self, context: bpy.types.Context) -> bpy.types.Object:
+        """What shows the result's textures."""
+        return textured_object(result_root(context))
+
+    def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
+        text = "Click a spot whose colour you know; Esc leaves all as it is"
+        return self.begin(context, words(text))
+
+    def clicked(self, context: bpy.types.Context) -> set[str]:
+        self.ruler.remove()
+        self._place = self.ruler.points[0]
+        return self.execute(context)
+
+    def work(self, context: bpy.types.Context) -> None:
+        root, shown = result_root(context), self.asset(context)
+        place = getattr(self, "_place", context.scene.cursor.location)
+        texel = texel_at(shown, place)
+        remember_spot(context.scene.robir, root, texel)
+        show_spot(shown, place)
+        self.report({"INFO"}, told("The spot lies at {u:.3f}, {v:.3f}", u=texel[0], v=texel[1]))
+
+
+class ROBIR_OT_forget_spot(Operator, bpy.types.Operator):
+    """Reconstruct without a spot of known paint."""
+
+    bl_label = "Forget Spot"
+    needs = (unless(lambda c: c.scene.robir.spot_result, "No spot was picked"),)
+
+    def work(self, context: bpy.types.Context) -> None:
+        forget_spot(context.scene.robir)
+
+
+class ROBIR_OT_take_sun(Operator, bpy.types.Operator):
+    """Tell where the sun stood: take the direction of the selected Sun lamp, which shines on the
+    object as the sun did on the photographs.
+    """
+
+    bl_label = "Sun from Lamp"
+    needs = (
+        unless(
+            lambda c: c.object and c.object.type == "LIGHT" and c.object.data.type == "SUN",
+            "Select a Sun lamp that shines as the sun did",
+        ),
+    )
+
+    def work(self, context: bpy.types.Context) -> None:
+        settings = context.scene.robir
+        shown = asset_of(result_root(context)) if settings.result else None
+        settings.sun = sun_direction(context.object, shown)  # in the capture's own frame
+
+
+class ROBIR_OT_forget_sun(Operator, bpy.types.Operator):
+    """Let the reconstruction look for suns by itself."""
+
+    bl_label = "Forget Sun"
+    needs = (unless(lambda c: any(c.scene.robir.sun), "No direction was taken"),)
+
+    def work(self, context: bpy.types.Context) -> None:
+        context.scene.robir.property_unset("sun")
+
+
+_COLOUR = (1.0, 0.55, 0.1, 1.0)
+
+
+class Ruler:
+    """Points, world, drawn in all viewports until removed; a sentence stands in the status bar."""
+
+    def __init__(self, sentence: str) -> None:
+        self.points: list[Vector] = []
+        space = bpy.types.SpaceView3D
+        self._handle = space.draw_handler_add(self._draw, (), "WINDOW", "POST_VIEW")
+        self.say(sentence)
+
+    def say(self, sentence: str) -> None:
+        """Tell the user what comes next."""
+        bpy.context.workspace.status_text_set(sentence)
+        _redraw()
+
+    def add(self, point: Vector) -> None:
+        """Show one more point."""
+        self.points.append(point)
+        _redraw()
+
+    def remove(self) -> None:
+        """Take it all away."""
+        bpy.types.SpaceView3D.draw_handler_remove(self._handle, "WINDOW")
+        bpy.context.workspace.status_text_set(None)
+        _redraw()
+
+    def _draw(self) -> None:
+        shader = gpu.shader.from_builtin("UNIFORM_COLOR")
+        gpu.state.depth_test_set("NONE")
+        gpu.state.point_size_set(9.0)
+        gpu.state.line_width_set(2.0)
+        shader.uniform_float("color", _COLOUR)
+        for kind in ("POINTS", "LINE_STRIP"):
+            batch_for_shader(shader, kind, {"pos": [tuple(p) for p in self.points]}).draw(shader)
+        gpu.state.point_size_set(1.0)
+        gpu.state.line_width_set(1.0)
+
+
+def _redraw() -> None:
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == "VIEW_3D":
+                area.tag_redraw()

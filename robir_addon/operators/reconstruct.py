@@ -7,7 +7,7 @@ from pathlib import Path
 import bpy
 
 from ..capture import viewport
-from ..capture.recent import remember
+from ..capture.photographs import remember
 from ..command_line import worker_environment
 from ..engine import EngineError
 from ..errors import AddonError
@@ -20,23 +20,19 @@ from ..work import monitor
 from ..work.known import check_spot
 from ..work.worker import absolute, in_panel_words, program, request_of, result_folder
 from .capture import is_refused
-from .shared import Operator, at_rest, has_capture, has_engine, in_object_mode
+from .shared import Operator, at_rest, has_capture, has_engine, in_object_mode, unless
 
-
-def _is_sound(context: bpy.types.Context) -> str:
-    is_faulty = is_refused(absolute(context.scene.robir.capture))
-    return told("The capture has faults: mend what Check names and look again") if is_faulty else ""
-
-
-def _has_target(context: bpy.types.Context) -> str:
-    target = context.object
-    is_mesh = target is not None and target.type == "MESH" and target.select_get()
-    return "" if is_mesh else told("Select the mesh object that the photographs show")
-
-
-def _is_at_work(context: bpy.types.Context) -> str:
-    at_work = monitor.is_busy() and context.window_manager.robir.task
-    return "" if at_work else told("Nothing is at work")
+_is_sound = unless(
+    lambda context: not is_refused(absolute(context.scene.robir.capture)),
+    "The capture has faults: mend what Check names and look again",
+)
+_has_target = unless(
+    lambda c: c.object and c.object.type == "MESH" and c.object.select_get(),
+    "Select the mesh object that the photographs show",
+)
+_is_at_work = unless(
+    lambda c: monitor.is_busy() and c.window_manager.robir.task, "Nothing is at work"
+)
 
 
 class WorkerOperator(Operator):

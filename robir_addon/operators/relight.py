@@ -19,7 +19,7 @@ from ..result.importer import mark_of, read_cameras
 from ..result.summary import read_shown
 from ..words import told
 from ..work import monitor
-from .shared import Operator, is_imported, result_asset, result_paths, result_root
+from .shared import Operator, is_imported, result_asset, result_paths, result_root, unless
 
 _FILM_SAMPLES = 16  # Cycles samples a pixel of a film, before the noise is taken out
 
@@ -62,15 +62,14 @@ class ROBIR_OT_into_photograph(Operator, bpy.types.Operator):
             set_stage(context, asset, read_cameras(result_paths(context)).get("ground"))
 
 
-def _is_free(_context: bpy.types.Context) -> str:
-    return told("Something is at work: wait for it or cancel it") if monitor.is_busy() else ""
-
-
 class _RenderingOperator(Operator):
     """Renders in a Blender of its own; with a window the panel shows how far it is."""
 
     bl_options = {"REGISTER"}
-    needs = (is_imported, _is_free)
+    needs = (
+        is_imported,
+        unless(lambda _: not monitor.is_busy(), "Something is at work: wait for it or cancel it"),
+    )
     task: str
     """As `ROBIR_PG_state.task` has it."""
 

@@ -18,6 +18,8 @@ from ..work import monitor
 
 _TAB = "RobIR"  # of the sidebar, where the panels are
 
+Need = Callable[[bpy.types.Context], str]
+
 _MixedIn = bpy.types.Operator if TYPE_CHECKING else object
 
 
@@ -31,7 +33,7 @@ class Operator(_MixedIn):
     """
 
     bl_options = {"REGISTER", "UNDO"}
-    needs: tuple[Callable[[bpy.types.Context], str], ...] = ()
+    needs: tuple[Need, ...] = ()
 
     def __init_subclass__(cls) -> None:
         """Derive what Blender asks for."""
@@ -127,15 +129,23 @@ def result_asset(context: bpy.types.Context) -> bpy.types.Object:
     return asset
 
 
-def in_object_mode(context: bpy.types.Context) -> str:
-    """Objects can be replaced."""
-    return "" if context.mode == "OBJECT" else told("Leave the present mode for Object Mode first")
+def unless(is_met: Callable[[bpy.types.Context], object], sentence: str) -> Need:
+    """A condition of operators, with what its tool-tip says where it is not met."""
+    return lambda context: "" if is_met(context) else told(sentence)
 
 
-def at_rest(context: bpy.types.Context) -> str:
-    """Nothing is at work."""
-    at_work = monitor.is_busy() or context.window_manager.robir.task
-    return told("Wait until the work at hand is done, or cancel it") if at_work else ""
+in_object_mode = unless(
+    lambda context: context.mode == "OBJECT", "Leave the present mode for Object Mode first"
+)
+
+at_rest = unless(
+    lambda context: not (monitor.is_busy() or context.window_manager.robir.task),
+    "Wait until the work at hand is done, or cancel it",
+)
+
+has_capture = unless(lambda context: context.scene.robir.capture, "Choose a capture first")
+
+has_result = unless(lambda context: context.scene.robir.result, "Import a result first")
 
 
 def may_choose(context: bpy.types.Context) -> str:
@@ -148,20 +158,10 @@ def is_engine_coming(context: bpy.types.Context) -> bool:
     return context.window_manager.robir.task in ("install", "check_engine")
 
 
-def has_capture(context: bpy.types.Context) -> str:
-    """A capture is chosen."""
-    return "" if context.scene.robir.capture else told("Choose a capture first")
-
-
 def has_engine(context: bpy.types.Context) -> str:
     """There is an engine, by a look at its files."""
     status = engine_status(context)
     return "" if status.state == "ready" else f"{told(status.text)}: {told(status.cure)}"
-
-
-def has_result(context: bpy.types.Context) -> str:
-    """A result is shown."""
-    return "" if context.scene.robir.result else told("Import a result first")
 
 
 def is_imported(context: bpy.types.Context) -> str:

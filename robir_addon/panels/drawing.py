@@ -3,7 +3,7 @@
 
 import bpy
 
-from ..home import ADDON
+from ..child import ADDON
 from ..paragraphs import paragraph
 from ..words import duration, words
 

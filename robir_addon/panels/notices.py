@@ -4,7 +4,7 @@
 import bpy
 
 from ..engine import CAN_INSTALL
-from ..operators.notice import is_offline
+from ..operators.engine import has_notice, is_offline
 from ..paragraphs import paragraph
 from ..preferences import install_text, shown_engine_status
 from ..words import told, words
@@ -23,7 +23,7 @@ class ROBIR_PT_notice(Panel, bpy.types.Panel):
         is_below = status.state != "ready" and state.error == told(status.text)
         if is_below or (is_offline(state) and bpy.app.online_access):
             return False
-        return bool(state.error or (state.message and not state.task))
+        return has_notice(state)
 
     def draw_header_preset(self, context: bpy.types.Context) -> None:
         self.layout.operator("robir.dismiss", text="", icon="X", emboss=False)

@@ -22,8 +22,15 @@ from bpy.props import (
 from ..blocks import MARK, select_alone
 from ..errors import AddonError
 from ..operators.compare import draw_again
-from ..relighting.lights import choose_light, shown_light, turn_light, use_lamps, world_of
-from ..relighting.pictures import RECOVERED, light_items
+from ..relighting.lights import (
+    RECOVERED,
+    choose_light,
+    light_items,
+    shown_light,
+    turn_light,
+    use_lamps,
+    world_of,
+)
 from ..result.importer import asset_of, imported_objects
 from ..result.summary import read_shown
 from ..words import told

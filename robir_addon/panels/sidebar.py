@@ -9,16 +9,14 @@ from pathlib import Path
 
 import bpy
 
-from ..capture.photographs import draw_photographs
-from ..capture.recent import recent_captures
+from ..capture.photographs import draw_photographs, recent_captures
 from ..capture.viewport import COLLECTION, GAP, GAPS
 from ..engine import CAN_INSTALL
-from ..operators.photographs import can_leave_out
-from ..operators.sample import is_sample
+from ..operators.capture import can_leave_out
+from ..operators.result import is_sample
 from ..paragraphs import paragraph
 from ..preferences import install_text
-from ..relighting.lights import strength_of
-from ..relighting.pictures import light_pictures
+from ..relighting.lights import light_pictures, strength_of
 from ..result.summary import shown_summary
 from ..words import words
 from ..work import batch, growth

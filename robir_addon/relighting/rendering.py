@@ -9,7 +9,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from .lut import ToneTable
+from .view_transform import ToneTable
 
 FRAMES_PER_SECOND = 12
 """A light that goes round in 48 frames then takes four seconds: shadows can be followed."""

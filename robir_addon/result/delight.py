@@ -16,9 +16,8 @@ from ..blocks import with_mark
 from ..errors import RequestError, ResultError
 from ..gateway import JobPaths, read_record, replacing
 from ..words import told
-from .arrival import bring_in, light_up
 from .glb import read_glb
-from .importer import import_light, mark_of
+from .importer import bring_in, import_light, light_up, mark_of
 from .materials import new_material, refresh_material, refresh_pictures
 
 TARGET = "robir_delit"

@@ -2,6 +2,8 @@
 """The asset as a mesh object with UVs and a Principled material."""
 
 import hashlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -83,6 +85,15 @@ def is_edited(asset: bpy.types.Object) -> bool:
 def mark_as_imported(asset: bpy.types.Object) -> None:
     """Count the mesh as it is now as the worker's: nothing of the user's would be lost with it."""
     asset.data[_DIGEST] = _digest(asset.data)
+
+
+@contextmanager
+def no_edit(asset: bpy.types.Object) -> Iterator[None]:
+    """What changes the mesh here is done to a newer one again, and so is no edit of the user's."""
+    was_edited = is_edited(asset)
+    yield
+    if not was_edited:
+        mark_as_imported(asset)
 
 
 def _mesh(mesh: GlbMesh, mark: str) -> bpy.types.Mesh:

@@ -8,7 +8,7 @@ from typing import Any
 import bpy
 
 from ..gateway import JobPaths, read_json
-from ..relighting.pictures import read_pictures
+from ..relighting.lights import read_pictures
 from ..words import words
 from .importer import active_result
 
@@ -104,12 +104,8 @@ def _follow(*_: object) -> None:
         bpy.context.scene.robir.result = result
 
 
-def _read_again(*_: object) -> None:
-    read_shown()
-
-
 HANDLERS = (
-    *((name, _read_again) for name in ("load_post", "undo_post", "redo_post")),
+    *((name, lambda *_: read_shown()) for name in ("load_post", "undo_post", "redo_post")),
     ("depsgraph_update_post", _follow),
 )
 

@@ -112,11 +112,7 @@ def _row(row: dict[str, Any], is_live: bool) -> tuple[str, str, str]:
     return row["name"], row["state"], row["message"]
 
 
-def _look_after_load(*_: object) -> None:
-    look()
-
-
-HANDLERS = (("load_post", _look_after_load),)
+HANDLERS = (("load_post", lambda *_: look()),)
 
 
 def unregister() -> None:

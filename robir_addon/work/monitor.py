@@ -67,40 +67,18 @@ def is_busy() -> bool:
     return _work.task is not None or _work.job is not None
 
 
-def run_task(
-    name: str,
-    command: Sequence[str],
-    on_line: OnLine,
-    on_end: OnEnd,
-    environment: Mapping[str, str] | None = None,
-) -> None:
+def run_task(*work: Any) -> None:
     """Start a task and return; what comes of it is told later, in the main thread.
 
-    Args:
-        name: As in `WindowManager.robir.task`.
-        command: Program and words.
-        on_line: Called with every JSON object the task prints. Before that, "progress" (or
-            "fraction") and "message" in it are shown.
-        on_end: Called at the end, when nothing is at work any more, with the exit code, 130 if the
-            task was cancelled, and the last words that were no JSON.
-        environment: All its variables; None takes those of an engine.
-
-    Raises:
-        AddonError: If the program cannot be run, or something else is at work.
+    What both this and `wait_task` take is what `_begin_task` says.
     """
-    _begin_task(name, command, on_line, on_end, environment)
+    _begin_task(*work)
     _wake()
 
 
-def wait_task(
-    name: str,
-    command: Sequence[str],
-    on_line: OnLine,
-    on_end: OnEnd,
-    environment: Mapping[str, str] | None = None,
-) -> None:
-    """Run a task to its end; everything else as `run_task`."""
-    task = _begin_task(name, command, on_line, on_end, environment)
+def wait_task(*work: Any) -> None:
+    """Run a task to its end."""
+    task = _begin_task(*work)
     try:
         while _work.task is task:
             with suppress(queue.Empty):
@@ -268,8 +246,22 @@ def _begin_task(
     command: Sequence[str],
     on_line: OnLine,
     on_end: OnEnd,
-    environment: Mapping[str, str] | None,
+    environment: Mapping[str, str] | None = None,
 ) -> Task:
+    """Start a task.
+
+    Args:
+        name: As in `WindowManager.robir.task`.
+        command: Program and words.
+        on_line: Called with every JSON object the task prints. Before that, "progress" (or
+            "fraction") and "message" in it are shown.
+        on_end: Called at the end, when nothing is at work any more, with the exit code, 130 if the
+            task was cancelled, and the last words that were no JSON.
+        environment: All its variables; None takes those of an engine.
+
+    Raises:
+        AddonError: If the program cannot be run, or something else is at work.
+    """
     _refuse_if_busy()
     variables = worker_environment() if environment is None else environment
     task = Task(name, command, on_line, on_end, variables)

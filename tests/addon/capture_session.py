@@ -180,7 +180,7 @@ def reconstruct(capture, other, out):
     settings().capture = other
     answer["other"] = attempt(bpy.ops.robir.reconstruct)
     answer["other_told"] = told()
-    recent = module("capture.recent")
+    recent = module("capture.photographs")
     recent.unregister()
     recent.register()  # as in the next Blender
     answer["recent"] = recent.recent_captures()

@@ -144,7 +144,7 @@ def pictured(settings, state, result):
         image.save()
         bpy.data.images.remove(image)
     bpy.ops.robir.import_result(directory=str(folder))
-    pictures = import_module(f"{MODULE}.relighting.pictures").light_pictures(settings.result)
+    pictures = import_module(f"{MODULE}.relighting.lights").light_pictures(settings.result)
     assert set(pictures) == {"", "city", "forest"}, pictures
 
 

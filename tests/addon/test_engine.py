@@ -29,9 +29,8 @@ from packaging.requirements import Requirement
 
 import robir
 from robir_addon.engine import EngineError, Place, status
-from robir_addon.engine.lock import engine_lock
 from robir_addon.engine.places import worker_command
-from robir_addon.engine.remove import remove
+from robir_addon.engine.remove import engine_lock, remove
 from robir_addon.engine.states import read_record, write_record
 
 UNUSUAL = "an 'engine' \"of\" Grüße & 漢字"

@@ -23,7 +23,7 @@ def main(archive, result):
     settings.turntable_frames, settings.turntable_side, settings.turns = 2, 98, "object"
     answer = {"film": call("turntable"), "message": state.message, "task": state.task}
     answer["nobody"] = [call("turntable", view="nobody"), state.error]
-    pictures = sys.modules[MODULE + ".relighting.pictures"].light_pictures
+    pictures = sys.modules[MODULE + ".relighting.lights"].light_pictures
     answer["lights"] = [len(pictures(settings.result)), call("picture_lights")]
     answer["lights"] += [sorted(pictures(settings.result)), state.error]
     return answer

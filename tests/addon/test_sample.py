@@ -42,7 +42,7 @@ def main(archive):
     import sys
     own = Path(answer["result"], "run.json")
     own.write_text(own.read_text() + " ")
-    sample = sys.modules["bl_ext.user_default.robir.operators.sample"]
+    sample = sys.modules["bl_ext.user_default.robir.operators.result"]
     with (sample._SHIPPED / "README.txt").open("a") as text:
         text.write("newer")
     bpy.ops.robir.try_sample()

@@ -24,6 +24,7 @@ LOOKED_UP = {
     "ResultError": (0,),
     "EngineError": (0, 1),
     "Status": (1, 2),
+    "unless": (1,),
     "report": (1,),
 }
 
@@ -41,7 +42,7 @@ APART = (
     "headless.py",
     "command_line.py",
     "gateway.py",
-    *(f"engine/{name}.py" for name in ("install", "lock", "pip", "remove")),
+    *(f"engine/{name}.py" for name in ("install", "pip", "remove")),
 )
 
 
