@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Blender work in a process of its own: the commands of `headless`, which say JSON lines."""
+"""Where the extension lies, and Blender work in a process of its own: commands of `headless`."""
 
 import os
 import sys

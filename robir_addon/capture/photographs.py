@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The capture's photographs as a list with a tick each: which take part, and what was noticed."""
+"""A capture's photographs, with a tick each; and captures that were reconstructed before."""
 
 from collections.abc import Iterable
 from contextlib import suppress

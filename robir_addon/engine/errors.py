@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The one error of the engine: what is wrong, and what to do about it."""
+"""The one error of the engine, and the sentences that errors are made of."""
 
 
 class EngineError(Exception):

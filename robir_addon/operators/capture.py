@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Choose a capture, look at it, and put it away again."""
+"""Choose a capture, look at it, leave photographs out, and put it away again."""
 
 from pathlib import Path
 from typing import Any

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Operators of the engine: install, cancel, check, remove.
+"""Operators of the engine: install, cancel, check, remove; and of notices, which lead to it.
 
 Installation and check are tasks of `monitor`: subprocesses that say how far they are, and at last
 what came of it, one JSON object a line. A click returns at once; a script waits for them.

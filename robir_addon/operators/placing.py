@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Real size and place of a result, and its ground or surroundings taken away."""
+"""Size and place of a result, its ground taken away, and what is clicked that the user knows."""
 
 import bpy
 import gpu
@@ -10,7 +10,14 @@ from mathutils import Vector
 
 from ..errors import RequestError, ResultError
 from ..result.importer import asset_of, read_cameras
-from ..result.known import show_spot, sun_direction, texel_at, textured_object
+from ..result.known import (
+    forget_spot,
+    remember_spot,
+    show_spot,
+    sun_direction,
+    texel_at,
+    textured_object,
+)
 from ..result.materials import no_edit
 from ..result.placing import (
     GROUND_SHARE,
@@ -21,7 +28,6 @@ from ..result.placing import (
     stand,
 )
 from ..words import told, words
-from ..work.known import forget_spot, remember_spot
 from .shared import (
     Operator,
     in_object_mode,

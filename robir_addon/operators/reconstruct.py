@@ -15,9 +15,9 @@ from ..gateway import client
 from ..preferences import engine_python
 from ..result.delight import TARGET, mesh_file, target_of
 from ..result.importer import mark_of
+from ..result.known import check_spot
 from ..words import reported, told
 from ..work import monitor
-from ..work.known import check_spot
 from ..work.worker import absolute, in_panel_words, program, request_of, result_folder
 from .capture import is_refused
 from .shared import Operator, at_rest, has_capture, has_engine, in_object_mode, unless

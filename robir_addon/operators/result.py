@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Bring a result into the file, and look at it beside what went in."""
+"""Bring a result into the file, that of the sample too, and look at it."""
 
 import hashlib
 import shutil
@@ -25,9 +25,9 @@ from ..result.importer import (
     read_tone_curve,
     remove_result,
 )
+from ..result.known import forget_former_spot
 from ..result.materials import coverage_file, is_edited
 from ..words import told
-from ..work.known import forget_former_spot
 from ..work.support import support_report
 from .capture import take_capture
 from .shared import (

@@ -15,8 +15,11 @@ from ..operators.shared import WaitingOperator, may_choose
 from ..words import told
 
 SUFFIXES = (".json", ".npz", ".npy", ".bin", ".txt", ".csv", ".xml", ".sfm")
-_PHOTOGRAPHS = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".heic", ".dng")
-_VIDEOS = (".mp4", ".mov", ".mkv", ".avi", ".webm", ".m4v")
+_PHOTOGRAPHS = (
+    *(".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp", ".heic", ".heif", ".exr"),
+    *(".dng", ".nef", ".cr2", ".cr3", ".arw", ".raf", ".orf", ".rw2"),
+)
+_VIDEOS = (".mp4", ".mov", ".mkv", ".avi", ".webm", ".m4v", ".3gp")
 _COLMAP = ("cameras", "images", "points3D", "rigs", "frames")
 
 

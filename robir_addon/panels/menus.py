@@ -1,16 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Everything the panels can do as menu entries, which is where Blender's search (F3) looks."""
+"""All commands as menu entries, where the search (F3) looks; the panel What You Know."""
 
 import math
 
 import bpy
 
 from ..operators.shared import result_root
-from ..paragraphs import paragraph
+from ..paragraphs import Panel, paragraph, split
 from ..result.delight import target_of
 from ..result.summary import shown_summary
 from ..words import words
-from .drawing import Panel, split
 
 _IN_ORDER = (
     ("choose_capture", "try_sample", "look_at_capture", "leave_out", "add_box", "clear_capture"),

@@ -5,10 +5,9 @@ import bpy
 
 from ..engine import CAN_INSTALL
 from ..operators.engine import has_notice, is_offline
-from ..paragraphs import paragraph
+from ..paragraphs import Panel, paragraph, preferences_button, progress
 from ..preferences import install_text, shown_engine_status
 from ..words import told, words
-from .drawing import Panel, preferences_button, progress
 
 
 class ROBIR_PT_notice(Panel, bpy.types.Panel):

@@ -32,10 +32,10 @@ from ..relighting.lights import (
     world_of,
 )
 from ..result.importer import asset_of, imported_objects
+from ..result.known import AUTOMATIC
 from ..result.summary import read_shown
 from ..words import told
 from ..work import batch, monitor
-from ..work.known import AUTOMATIC
 
 
 class ROBIR_PG_finding(bpy.types.PropertyGroup):

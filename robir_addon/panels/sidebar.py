@@ -14,14 +14,13 @@ from ..capture.viewport import COLLECTION, GAP, GAPS
 from ..engine import CAN_INSTALL
 from ..operators.capture import can_leave_out
 from ..operators.result import is_sample
-from ..paragraphs import paragraph
+from ..paragraphs import Panel, ResultPanel, big, paragraph, preferences_button, progress, split
 from ..preferences import install_text
 from ..relighting.lights import light_pictures, strength_of
 from ..result.summary import shown_summary
 from ..words import words
 from ..work import batch, growth
 from ..work.worker import shown_box
-from .drawing import Panel, ResultPanel, big, preferences_button, progress, split
 
 _MOST_RECENT = 3  # captures; File > Import has all folders
 _FAULT_ICONS = {"error": "CANCEL", "warning": "ERROR"}

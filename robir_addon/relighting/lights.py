@@ -3,7 +3,8 @@
 
 A recovered sun is shown in one of two ways: as a Sun lamp beside an environment without it, or as
 part of the whole environment. Any other environment hides the lamps. The World that a scene had
-before is remembered in the scene, so that it can be given back.
+before is remembered in the scene, so that it can be given back. Each light to choose from has a
+picture of the object under it.
 """
 
 import os

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The recovered tone curve as the scene's view transform."""
+"""The recovered tone curve as the scene's view transform, or as a table where it is none."""
 
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The object in its photograph: a ground that catches its shadow, and the photograph behind."""
+"""What is laid about and over an object: its photograph with a shadow, and where views are few."""
 
 from collections.abc import Mapping
 from pathlib import Path

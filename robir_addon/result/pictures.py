@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pictures as arrays of display codes 0..1, row 0 at the bottom, RGBA with straight alpha."""
+"""Pictures as display codes 0..1, row 0 at the bottom, RGBA, straight alpha; captions over them."""
 
 from pathlib import Path
 from typing import Any

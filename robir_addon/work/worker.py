@@ -14,7 +14,7 @@ from mathutils import Vector
 
 from ..capture.photographs import left_out_of
 from ..gateway import client
-from .known import known_of
+from ..result.known import known_of
 
 _WORDS = (
     ("; continue with --resume", "; press Reconstruct to go on"),

@@ -11,7 +11,7 @@ import bpy
 MODULE = "bl_ext.user_default.robir"
 
 
-def main(archive, engine, capture, model):
+def main(archive, engine, capture, model, video):
     bpy.ops.wm.read_factory_settings(use_empty=True)
     untouched = traces()
     bpy.ops.extensions.package_install_files(
@@ -22,6 +22,7 @@ def main(archive, engine, capture, model):
     answer = {
         "dropped": dropped(capture),
         "colmap": drop(str(Path(model).parent), Path(model).name),
+        "video": taken(video),
         "elsewhere": drop(capture, "transforms_train.json", area_type="OUTLINER"),
         "foreign": foreign(capture),
         "busy": busy(),
@@ -53,6 +54,19 @@ def drop(directory, name, area_type="VIEW_3D"):
         said = str(fault)
     area.type = before
     return [said, bpy.context.scene.robir.capture]
+
+
+def taken(video):
+    """A video, for which Blender has a handler too and asks which; ours is chosen."""
+    place = Path(video)
+    try:
+        bpy.ops.robir.drop_capture(directory=str(place.parent), files=[{"name": place.name}])
+        said = ""
+    except RuntimeError as fault:
+        said = str(fault)
+    state, settings = bpy.context.window_manager.robir, bpy.context.scene.robir
+    said += " ".join(finding.text for finding in state.findings)
+    return said, settings.capture, state.looked_at
 
 
 def dropped(capture):

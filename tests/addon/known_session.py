@@ -129,7 +129,7 @@ def suns(result):
 
 def requests(result, capture, other):
     """What the engine is asked for, what is refused, and what another capture forgets."""
-    worker, known = module("work.worker"), module("work.known")
+    worker, known = module("work.worker"), module("result.known")
     attempt(bpy.ops.robir.choose_capture, directory=capture)
     bpy.ops.robir.import_result(directory=result)
     answer = {"nothing": worker.request_of(settings()).words(), "out": settings().out}

@@ -27,6 +27,10 @@ SESSION = (Path(__file__).parent / "drop_session.py").read_text(encoding="utf-8"
         ("carton/poses_bounds.npy", "carton"),
         ("stone/Internal_ExternalCameraParameters.csv", "stone"),
         ("shoe/my cameras.XML", "shoe"),
+        ("walk/IMG_0001.JPG", "walk"),
+        ("walk/IMG_0001.heif", "walk"),
+        ("walk/raw/1.CR3", "walk/raw"),
+        ("walk/around.MOV", "walk/around.MOV"),
         ("truck/settings.json", None),
         ("truck/depth.npz", None),
         ("truck/database.bin", None),
@@ -47,13 +51,15 @@ def captures(tmp_path_factory):
     plain = nerf_synthetic(folder / "it's Gänse", shots, tests=2)
     deep = colmap(folder / "deep", shots, binary=True)
     (model,) = deep.rglob("cameras.*")
-    return plain, deep, model
+    from hostile.test_videos import film
+
+    return plain, deep, model, film(folder / "a walk.mp4", 4)
 
 
 def test_dropped_kept_and_gone(newest, extension_zip, captures, tmp_path):
-    plain, deep, model = captures
+    plain, deep, model, video = captures
     answer = run(
-        newest, SESSION, str(extension_zip), sys.executable, str(plain), str(model),
+        newest, SESSION, str(extension_zip), sys.executable, str(plain), str(model), str(video),
         user=tmp_path / "user",
     )  # fmt: skip
     dropped = answer["dropped"]
@@ -63,6 +69,9 @@ def test_dropped_kept_and_gone(newest, extension_zip, captures, tmp_path):
     assert dropped["undone"] == [0, ""]
     assert dropped["redone"] == [14, str(plain)]
     assert answer["colmap"][1] == str(deep)
+    said, taken, looked_at = answer["video"]
+    assert taken == looked_at == str(video)
+    assert "4 frames of a walk.mp4" in said, "its frames were looked at, and are too few"
     assert answer["elsewhere"][1] == "", "only the 3D viewport takes captures"
     assert "notes.txt holds no cameras" in answer["foreign"]
     assert not answer["busy"]

@@ -89,8 +89,12 @@ END = """
   buttons above change the view, show single pixels and wipe one picture over another.
 - **What You Know** accepts a known colour, a Sun lamp or a tone curve, and so fixes the scale of
   brightness: [uncertainty.md](uncertainty.md).
-- **Export** writes GLB (in levels of detail, if you like), USD and textures, and marks the object
-  as an asset. **Library** runs many captures: [batch.md](batch.md).
+- **Where to photograph next**: *Check* tints the sides of the bounds that no photograph shows.
+  The eye in *Result* tints what no or few photographs show.
+- **Export for Games** writes GLB and USD in levels of detail. The object stands on the floor,
+  without its ground, and a normal map holds its fine shape. **Export** also writes what stands in
+  the scene as GLB, USD and textures, and marks the object as an asset. **Library** runs many
+  captures: [batch.md](batch.md).
 
 ## Search, scripts and installation
 
