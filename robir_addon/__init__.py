@@ -28,7 +28,6 @@ _MODULES = (
     "operators.export",
     "operators.library",
     "result.pictures",
-    "panels.dropping",
     "capture.photographs",
     "panels.notices",
     "panels.sidebar",

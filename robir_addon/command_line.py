@@ -24,7 +24,6 @@ from . import engine, gateway, headless
 from .preferences import engine_python
 
 _STOPS = (signal.SIGINT, signal.SIGTERM)
-
 _handles: list[Any] = []
 
 

@@ -5,17 +5,12 @@ from .engine.errors import Sentence
 
 
 class AddonError(Exception):
-    """Something is missing or cannot be used; the message says what and what to do.
+    """Something is missing or cannot be used; the message says what and what to do."""
 
-    Attributes:
-        exit_code: Process exit code that stands for this kind of error.
-        sentences: The message, which `words.told` says in the user's language.
-    """
-
-    exit_code = 1
+    exit_code = 1  # of a process that ends with this kind of error
 
     def __init__(self, text: str, /, **values: object) -> None:
-        """Say it in English."""
+        """Say it in English; `words.told` says the sentences in the user's language."""
         self.sentences = (Sentence(text, **values),)
         super().__init__(*self.sentences)
 

@@ -31,7 +31,6 @@ MOST_BYTES = 1 << 33  # memory that reading may take; five million faces take a 
 MOST_SECONDS = 600.0  # time on the clock, and of the processor, that reading may take
 _PR_SET_PDEATHSIG = 1  # of <linux/prctl.h>: a signal is sent when the parent ends
 _KINDS = {kind.exit_code: kind for kind in (RequestError, ResultError)}
-
 _SOLID = ("MESH", "CURVE", "SURFACE", "FONT", "META")  # types of objects that may have faces
 
 

@@ -8,14 +8,16 @@ here imports Blender, and nothing ever installs into Blender's Python.
 from pathlib import Path
 
 from .errors import EngineError, Sentence
-from .existing import Facts, inspect, interpreter
 from .places import (
     CHOOSE_EXISTING,
+    Facts,
     Place,
     base_python,
     bundled_wheel,
     clean_environment,
     constraints,
+    inspect,
+    interpreter,
     worker_command,
 )
 from .states import Status, read_record, status, wheel_version

@@ -3,16 +3,9 @@
 
 
 class EngineError(Exception):
-    """The engine cannot be made, found, used or removed.
+    """The engine cannot be made, found, used or removed: what is wrong, and a cure."""
 
-    Attributes:
-        message: What is wrong, one sentence without a full stop.
-        cure: What the user can do, likewise.
-        sentences: Both.
-        exit_code: Process exit code that stands for it, "no usable device" of the command line.
-    """
-
-    exit_code = 4
+    exit_code = 4  # "no usable device" of the command line
 
     def __init__(self, message: str, cure: str, /, **values: object) -> None:
         """Join both to the text of the exception."""
@@ -22,15 +15,10 @@ class EngineError(Exception):
 
 
 class Sentence(str):
-    """English text whose fields are filled; this package itself knows no other language.
+    """English text whose fields are filled; this package itself knows no other language."""
 
-    Attributes:
-        text: With its fields in braces, as catalogues know it.
-        values: What the fields are filled with, by name.
-    """
-
-    text: str
-    values: dict[str, object]
+    text: str  # with its fields in braces, as catalogues know it
+    values: dict[str, object]  # what the fields are filled with, by name
 
     def __new__(cls, text: str, /, **values: object) -> "Sentence":
         """Fill the fields; a text without values may hold braces of its own."""

@@ -24,9 +24,8 @@ from pathlib import Path
 from typing import Any
 
 from .errors import EngineError
-from .existing import inspect
 from .pip import MEBIBYTE, Pip, Progress
-from .places import CHOOSE_EXISTING, Place
+from .places import CHOOSE_EXISTING, Place, inspect
 from .remove import engine_lock
 from .states import GO_ON, INSTALL, Record, read_record, wheel_hash, wheel_version, write_record
 

@@ -14,14 +14,11 @@ from pathlib import Path
 from typing import IO, cast
 
 from .errors import EngineError
-from .existing import QUIETLY
-from .places import CHOOSE_EXISTING, NEWEST, OLDEST, Place, clean_environment
+from .places import CHOOSE_EXISTING, NEWEST, OLDEST, QUIETLY, Place, clean_environment
 from .states import GO_ON
 
 Progress = Callable[[float, str], None]
-
 MEBIBYTE = 1 << 20
-
 TAIL = 40  # lines of pip that are searched for the reason of a failure
 _RAW_PROGRESS = (24, 1)
 _RESUMES = (25, 1)

@@ -14,7 +14,6 @@ from .places import Place
 
 State = Literal["missing", "incomplete", "outdated", "ready"]
 Build = Literal["CPU", "CUDA"]
-
 INSTALL = "press Install Engine"
 UPDATE = "press Update Engine"
 GO_ON = "press Install Engine again; it goes on where it stopped"

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import bpy
-from bpy.props import BoolProperty, IntProperty, StringProperty
+from bpy.props import BoolProperty, IntProperty
 
 from ..blocks import select_alone
 from ..capture import viewport
@@ -22,6 +22,7 @@ from .shared import (
     Operator,
     WaitingOperator,
     at_rest,
+    folder_property,
     has_capture,
     is_engine_coming,
     may_choose,
@@ -162,12 +163,7 @@ class ROBIR_OT_choose_capture(WaitingOperator, bpy.types.Operator):
     bl_label = "Choose Capture"
     needs = (may_choose,)
 
-    directory: StringProperty(
-        name="Capture",
-        description="Folder with the photographs and their cameras",
-        subtype="DIR_PATH",
-        options={"HIDDEN", "SKIP_SAVE"},
-    )
+    directory: folder_property("Capture", "Folder with the photographs and their cameras")
     filter_folder: BoolProperty(default=True, options={"HIDDEN"})
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:

@@ -27,9 +27,7 @@ _ALLOW = (
     "add-on's preferences"
 )
 _RESTART = "start Blender without --offline-mode, or give a folder of wheels"
-
 _CANCELLED = 130
-
 Run = Callable[..., None]
 
 

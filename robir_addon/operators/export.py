@@ -18,6 +18,7 @@ from ..result.importer import asset_of, read_cameras
 from ..words import told
 from .shared import (
     Operator,
+    folder_property,
     has_result,
     in_object_mode,
     is_imported,
@@ -241,12 +242,7 @@ class ROBIR_OT_export_textures(Operator, bpy.types.Operator):
     bl_options = {"REGISTER", "PRESET"}
     needs = (has_result,)
 
-    directory: StringProperty(
-        name="Folder",
-        description="Folder to copy to",
-        subtype="DIR_PATH",
-        options={"HIDDEN", "SKIP_SAVE"},
-    )
+    directory: folder_property("Folder", "Folder to copy to")
     overwrite: BoolProperty(
         name="Overwrite",
         description="Replace files of the same name",

@@ -13,7 +13,7 @@ from ..preferences import engine_python
 from ..words import told
 from ..work import batch
 from ..work.worker import program
-from .shared import Operator, has_engine, unless
+from .shared import Operator, folder_property, has_engine, unless
 
 _has_library = unless(
     lambda context: context.scene.robir.library, "Choose a library, or run a batch first"
@@ -29,11 +29,8 @@ class ROBIR_OT_run_batch(Operator, bpy.types.Operator):
     bl_options = {"REGISTER"}
     needs = (has_engine,)
 
-    directory: StringProperty(
-        name="Captures",
-        description="Folder of captures; empty goes on with the library's own",
-        subtype="DIR_PATH",
-        options={"HIDDEN", "SKIP_SAVE"},
+    directory: folder_property(
+        "Captures", "Folder of captures; empty goes on with the library's own"
     )
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:

@@ -7,7 +7,6 @@ import tempfile
 from pathlib import Path
 
 import bpy
-from bpy.props import StringProperty
 
 from ..blocks import MARK, select_alone
 from ..capture.viewport import bring_back
@@ -34,6 +33,7 @@ from .shared import (
     Operator,
     WaitingOperator,
     at_rest,
+    folder_property,
     has_result,
     in_object_mode,
     is_imported,
@@ -51,12 +51,7 @@ class ROBIR_OT_import_result(Operator, bpy.types.Operator):
     bl_label = "Import Result"
     needs = (in_object_mode,)
 
-    directory: StringProperty(
-        name="Result",
-        description="Result folder; empty takes the one that is shown",
-        subtype="DIR_PATH",
-        options={"HIDDEN", "SKIP_SAVE"},
-    )
+    directory: folder_property("Result", "Result folder; empty takes the one that is shown")
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if not self.directory:

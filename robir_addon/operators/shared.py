@@ -3,9 +3,10 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import bpy
+from bpy.props import StringProperty
 
 from ..engine import EngineError
 from ..errors import AddonError, ResultError
@@ -17,9 +18,7 @@ from ..words import reported, told
 from ..work import monitor
 
 _TAB = "RobIR"  # of the sidebar, where the panels are
-
 Need = Callable[[bpy.types.Context], str]
-
 _MixedIn = bpy.types.Operator if TYPE_CHECKING else object
 
 
@@ -27,13 +26,10 @@ class Operator(_MixedIn):
     """Runs `work`, and turns what it raises into one sentence for the user.
 
     A class named ROBIR_OT_name becomes `robir.name`, and its docstring the tool-tip.
-
-    Attributes:
-        needs: Conditions: functions of the context that say what is missing, or "".
     """
 
     bl_options = {"REGISTER", "UNDO"}
-    needs: tuple[Need, ...] = ()
+    needs: tuple[Need, ...] = ()  # functions of the context that say what is missing, or ""
 
     def __init_subclass__(cls) -> None:
         """Derive what Blender asks for."""
@@ -74,6 +70,16 @@ class Operator(_MixedIn):
         monitor.show_problem(sentence)
         refused(self, context, sentence)
         return {"CANCELLED"}
+
+
+def folder_property(name: str, description: str) -> Any:
+    """A folder that a file browser or a script gives."""
+    return StringProperty(
+        name=name,
+        description=description,
+        subtype="DIR_PATH",
+        options={"HIDDEN", "SKIP_SAVE"},
+    )
 
 
 class WaitingOperator(Operator):
@@ -144,7 +150,6 @@ at_rest = unless(
 )
 
 has_capture = unless(lambda context: context.scene.robir.capture, "Choose a capture first")
-
 has_result = unless(lambda context: context.scene.robir.result, "Import a result first")
 
 

@@ -6,6 +6,7 @@ this moment; Blender keeps it when it opens a file without its windows, so it is
 """
 
 from pathlib import Path
+from typing import Any
 
 import bpy
 from bpy.props import (
@@ -36,6 +37,10 @@ from ..result.known import AUTOMATIC
 from ..result.summary import read_shown
 from ..words import told
 from ..work import batch, monitor
+
+
+def _folder(name: str, description: str) -> Any:
+    return StringProperty(name=name, description=description, subtype="DIR_PATH")
 
 
 class ROBIR_PG_finding(bpy.types.PropertyGroup):
@@ -69,15 +74,9 @@ class ROBIR_PG_photograph(bpy.types.PropertyGroup):
 class ROBIR_PG_settings(bpy.types.PropertyGroup):
     """What the user chose; saved with the Blender file."""
 
-    capture: StringProperty(
-        name="Capture",
-        description="Folder with the photographs and their cameras",
-        subtype="DIR_PATH",
-    )
-    masks: StringProperty(
-        name="Masks",
-        description="Folder with one mask a photograph; empty takes the capture's own masks",
-        subtype="DIR_PATH",
+    capture: _folder("Capture", "Folder with the photographs and their cameras")
+    masks: _folder(
+        "Masks", "Folder with one mask a photograph; empty takes the capture's own masks"
     )
     box: PointerProperty(
         name="Object box",
@@ -104,11 +103,7 @@ class ROBIR_PG_settings(bpy.types.PropertyGroup):
     view_shift: FloatVectorProperty(
         name="Shift of the view", description="Where the origin of the capture's own frame is shown"
     )
-    out: StringProperty(
-        name="Result",
-        description="Folder for the result; empty makes one beside the capture",
-        subtype="DIR_PATH",
-    )
+    out: _folder("Result", "Folder for the result; empty makes one beside the capture")
     library: StringProperty(
         name="Library",
         description="Folder of the results of many captures, one asset each; empty makes one "

@@ -59,17 +59,11 @@ def _gamma(tone_curve: dict[str, Any]) -> float:
 
 @dataclass(frozen=True)
 class ToneTable:
-    """A two-part .cube file: a curve a channel, then a lattice over its output.
+    """A two-part .cube file: a curve a channel, then a lattice over its output."""
 
-    Attributes:
-        reach: Largest linear value of the shaper; more is cut off.
-        shaper: (N, 3) curves over 0..reach.
-        lattice: (M, M, M, 3) display codes, indexed [blue, green, red] over the shaper's 0..1.
-    """
-
-    reach: float
-    shaper: np.ndarray
-    lattice: np.ndarray
+    reach: float  # largest linear value of the shaper; more is cut off
+    shaper: np.ndarray  # (N, 3) curves over 0..reach
+    lattice: np.ndarray  # (M, M, M, 3) codes, indexed [blue, green, red] over the shaper's 0..1
 
     def display(self, linear: np.ndarray) -> np.ndarray:
         """Display codes 0..1 of linear Rec.709 values (..., 3)."""

@@ -3,7 +3,6 @@
 
 import zipfile
 import zlib
-from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,17 +28,11 @@ _DAMAGE = (OSError, ValueError, LookupError, EOFError, zipfile.BadZipFile, zlib.
 
 @dataclass(frozen=True)
 class Comparison:
-    """Pictures of one view.
+    """Pictures of one view."""
 
-    Attributes:
-        view: The view's name.
-        rendered_by: "Cycles" or "RobIR", whichever made the re-render.
-        pictures: (H, W, 4) each, row 0 at the bottom.
-    """
-
-    view: str
-    rendered_by: str
-    pictures: tuple[np.ndarray, ...]
+    view: str  # its name
+    rendered_by: str  # "Cycles" or "RobIR", whichever made the re-render
+    pictures: tuple[np.ndarray, ...]  # (H, W, 4) each, row 0 at the bottom
 
     @property
     def codes(self) -> np.ndarray:
@@ -60,24 +53,18 @@ class Comparison:
 
 @dataclass(frozen=True)
 class RenderedView:
-    """A view of the capture that was rendered again.
+    """A view of the capture that was rendered again."""
 
-    Attributes:
-        entry: The view in cameras.json.
-        rendered_by: "Cycles" or "RobIR".
-        picture: (H, W, 4) codes, row 0 at the bottom.
-    """
-
-    entry: dict[str, Any]
-    rendered_by: str
-    picture: np.ndarray
+    entry: dict[str, Any]  # the view in cameras.json
+    rendered_by: str  # "Cycles" or "RobIR"
+    picture: np.ndarray  # (H, W, 4) codes, row 0 at the bottom
 
 
 def rendered_view(paths: JobPaths, table: dict[str, Any], view: str = "") -> RenderedView:
     """The re-render of a view ("": the first there is), by Cycles, else by the solver."""
     own, cycles = _own_renders(paths), _cycles_renders(paths)
     views = {entry["name"]: entry for entry in table["views"]}
-    rendered = [*_in_order(views, cycles), *_in_order(views, own)]
+    rendered = [name for there in (cycles, own) for name in views if name in there]
     chosen = view or next(iter(rendered), "")
     if chosen not in rendered:
         known = ", ".join(sorted(set(rendered))) or "none"
@@ -92,12 +79,9 @@ def rendered_view(paths: JobPaths, table: dict[str, Any], view: str = "") -> Ren
 def neighbour(paths: JobPaths, table: dict[str, Any], view: str, step: int) -> str:
     """The view some steps farther among those that were rendered again, round and round."""
     views = [entry["name"] for entry in table["views"]]
-    known = _in_order(views, {**_own_renders(paths), **_cycles_renders(paths)})
+    rendered = {**_own_renders(paths), **_cycles_renders(paths)}
+    known = [name for name in views if name in rendered]
     return known[(known.index(view) + step) % len(known)] if view in known else view
-
-
-def _in_order(views: Iterable[str], rendered: Mapping[str, object]) -> list[str]:
-    return [name for name in views if name in rendered]
 
 
 def compare(paths: JobPaths, table: dict[str, Any], view: str = "") -> Comparison:

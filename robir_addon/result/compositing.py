@@ -73,13 +73,9 @@ def stops(photographs: int) -> list[tuple[float, tuple[float, ...]]]:
 
 
 def show_few_views(asset: bpy.types.Object, coverage: Path, photographs: int, mark: str) -> None:
-    """Lay the tint over an object.
+    """Lay the tint over an object, whose place and mesh it shares.
 
-    Args:
-        asset: The imported object; the tint goes with its place and its mesh.
-        coverage: Texture of the share of the photographs that see each texel.
-        photographs: Number of those that the result was made of.
-        mark: Of the result.
+    `coverage` is the texture of the share of the photographs that see each texel.
     """
     if not are_there(coverage):
         raise ResultError("{file} is missing; export the result again", file=coverage.name)

@@ -62,7 +62,7 @@ def level_of(
             data = _evaluated(dense)
         finally:
             dense.modifiers.remove(modifier)
-    level = bpy.data.objects.new(name, data)
+    level, data.name = bpy.data.objects.new(name, data), name
     dense.users_collection[0].objects.link(level)
     bumps = bpy.data.images.new(f"{name} normal", side, side)
     bumps.colorspace_settings.name = "Non-Color"
@@ -74,7 +74,10 @@ def level_of(
         data.materials.clear()
         for material in materials:
             data.materials.append(material)
-        textures = [_normal_node(material, bumps) for material in materials]
+        textures = []
+        for nodes in (material.node_tree.nodes for material in materials):
+            textures.append(nodes.new("ShaderNodeTexImage"))
+            textures[-1].image, nodes.active = bumps, textures[-1]  # the active one is baked into
         _bake(dense, level)
         bumps.pack()
         data.transform(Matrix.Translation((0.0, 0.0, -middle_of_foot(level).z)))
@@ -100,14 +103,6 @@ def _evaluated(shown: bpy.types.Object) -> bpy.types.Mesh:
     return bpy.data.meshes.new_from_object(
         shown.evaluated_get(graph), preserve_all_data_layers=True, depsgraph=graph
     )
-
-
-def _normal_node(material: bpy.types.Material, bumps: bpy.types.Image) -> bpy.types.Node:
-    """The texture that is baked into: the active one."""
-    nodes = material.node_tree.nodes
-    texture = nodes.new("ShaderNodeTexImage")
-    texture.image, nodes.active = bumps, texture
-    return texture
 
 
 def _connect(material: bpy.types.Material, texture: bpy.types.Node) -> None:

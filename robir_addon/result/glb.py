@@ -26,25 +26,15 @@ _TILES = range(1001, 2001)  # numbers that UDIM tiles may have: ten a row, from 
 
 @dataclass(frozen=True)
 class GlbMesh:
-    """Triangles with what each corner carries.
+    """Triangles with what each corner carries."""
 
-    Attributes:
-        name: Name of the mesh.
-        vertices: (N, 3) positions, capture frame; seams of the texture are closed.
-        faces: (F, 3) indices into vertices.
-        corner_normals: (F, 3, 3) unit normals.
-        corner_uvs: (F, 3, 2) texture coordinates, v upwards, over the tiles where there are such.
-        tiles: (F,) number of the UDIM tile that a face lies in; 0 where there are none.
-        specular: 1 where what is no metal reflects as any paint, 0 where it does not.
-    """
-
-    name: str
-    vertices: np.ndarray
-    faces: np.ndarray
-    corner_normals: np.ndarray
-    corner_uvs: np.ndarray
-    tiles: np.ndarray
-    specular: float
+    name: str  # of the mesh
+    vertices: np.ndarray  # (N, 3) positions, capture frame; seams of the texture are closed
+    faces: np.ndarray  # (F, 3) indices into vertices
+    corner_normals: np.ndarray  # (F, 3, 3) unit
+    corner_uvs: np.ndarray  # (F, 3, 2), v upwards, over the tiles where there are such
+    tiles: np.ndarray  # (F,) number of the UDIM tile that a face lies in; 0 where there are none
+    specular: float  # 1 where what is no metal reflects as any paint, 0 where it does not
 
 
 def read_glb(path: Path) -> GlbMesh:

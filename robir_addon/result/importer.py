@@ -80,20 +80,9 @@ def import_result(root: Path, scene: bpy.types.Scene, *, use_sun_lamp: bool = Tr
 
     A recovered sun is a lamp, or part of the environment. After an error nothing has changed.
     """
-    mark = mark_of(root)
-    paths = JobPaths(Path(mark))
-    if fault := special_fault(paths.root):  # Blender would wait for ever where it opens a pipe
-        raise ResultError(fault)
-    table = read_cameras(paths)
-    views = table["views"]
-    # results of before there were lamps have none
-    suns = _read(paths.light, _LIGHT).get("sun_lamps", [])
+    paths, table, suns = _opened(root)
+    mark, name, views = mark_of(root), paths.root.name, table["views"]
     mesh = read_glb(paths.asset)
-    needed = [paths.environment, *(file for file, _, _ in texture_sockets(paths))]
-    missing = next((file for file in needed if not are_there(file)), None)
-    if missing is not None:
-        raise ResultError("{file} is missing; export the result again", file=missing)
-    name = paths.root.name
     before, world = asset_of(root), world_of(mark)
     if before is not None and world is not None:
         return _refresh(paths, scene, (table, suns, mesh), use_sun_lamp)
@@ -113,16 +102,22 @@ def import_result(root: Path, scene: bpy.types.Scene, *, use_sun_lamp: bool = Tr
     return Imported(collection, asset, cameras, lamps, world)
 
 
-def import_light(root: Path, scene: bpy.types.Scene, *, use_sun_lamp: bool) -> None:
-    """Bring the recovered light of a finished result folder into a scene, without its object."""
-    mark = mark_of(root)
-    paths = JobPaths(Path(mark))
-    if fault := special_fault(paths.root):
+def _opened(root: Path) -> tuple[JobPaths, dict[str, Any], list[dict[str, Any]]]:
+    """Names of a whole result's files, its cameras and suns; results of before lamps have none."""
+    paths = JobPaths(Path(mark_of(root)))
+    if fault := special_fault(paths.root):  # Blender would wait for ever where it opens a pipe
         raise ResultError(fault)
     table, suns = read_cameras(paths), _read(paths.light, _LIGHT).get("sun_lamps", [])
     for file in (paths.environment, *(file for file, _, _ in texture_sockets(paths))):
         if not are_there(file):
             raise ResultError("{file} is missing; export the result again", file=file)
+    return paths, table, suns
+
+
+def import_light(root: Path, scene: bpy.types.Scene, *, use_sun_lamp: bool) -> None:
+    """Bring the recovered light of a finished result folder into a scene, without its object."""
+    paths, table, suns = _opened(root)
+    mark = mark_of(root)
     bpy.data.batch_remove(lamps_of(mark))
     world = world_of(mark)
     if world is None:

@@ -71,7 +71,6 @@ line."""
 
 _SIZE = 13.0
 _GAP = 8.0
-
 _handles: list[Any] = []
 
 

@@ -23,7 +23,6 @@ from .worker import result_folder
 
 PREVIEW = "RobIR preview"  # name of the image
 _HALVES = ("photograph", "reconstruction")
-
 _both: list[dict[str, Any]] = []  # Blender's collection of the two icons, once there is a picture
 _STAGES_BEFORE = ("", "capture")
 """Stages in which a surface in the result folder is one of an earlier run."""

@@ -25,7 +25,8 @@ def support_report(context: bpy.types.Context) -> str:
     """Everything that helps, in plain text without private paths."""
     settings, state = context.scene.robir, context.window_manager.robir
     folder = state.job or settings.result
-    parts = [_versions(state.engine_text), _settings(settings)]
+    values = [f"{name} = {getattr(settings, name)!r}" for name in _SETTINGS]
+    parts = [_versions(state.engine_text), "Settings: " + ", ".join(values)]
     if state.error:
         parts.insert(0, f"Problem: {state.error}\nCure: {state.error_cure}")
     if folder:
@@ -64,11 +65,6 @@ def _versions(engine: str) -> str:
         f"Engine: {engine or 'not checked'}",
     ]
     return "\n".join(lines)
-
-
-def _settings(settings: bpy.types.PropertyGroup) -> str:
-    values = [f"{name} = {getattr(settings, name)!r}" for name in _SETTINGS]
-    return "Settings: " + ", ".join(values)
 
 
 def _from_folder(paths: JobPaths) -> list[str]:

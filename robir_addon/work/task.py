@@ -16,7 +16,6 @@ from ..errors import AddonError
 
 OnLine = Callable[[dict[str, Any]], None]
 OnEnd = Callable[[int, str], None]
-
 _PATIENCE = 5.0  # seconds from the request to end until a task is made to
 _IS_WINDOWS = os.name == "nt"
 _SAID_LINES = 30

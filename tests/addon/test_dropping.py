@@ -37,7 +37,7 @@ SESSION = (Path(__file__).parent / "drop_session.py").read_text(encoding="utf-8"
     ],
 )
 def test_the_folder_that_a_file_stands_for(file, capture):
-    from robir_addon.panels.dropping import capture_folder
+    from robir_addon.panels.menus import capture_folder
 
     root = Path("/captures with 'quotes'")
     assert capture_folder(root / file) == (root / capture if capture else None)

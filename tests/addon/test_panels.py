@@ -167,7 +167,7 @@ def test_every_operator_is_found_by_the_search(seen):
 def test_what_changes_the_file_can_be_undone(seen):
     looks_only = {
         "add_library", "allow_online", "cancel_install", "cancel_reconstruct",
-        "check_engine", "copy_report", "dismiss", "drop_from_batch", "export_glb",
+        "check_engine", "copy_report", "dismiss", "drop_from_batch", "export_game", "export_glb",
         "export_textures", "export_usd", "install_engine", "open_report", "picture_lights",
         "prefer_in_batch", "remove_engine", "run_batch", "stop_batch", "turntable",
     }  # fmt: skip
