@@ -8,6 +8,7 @@ from pathlib import Path
 
 import bpy
 
+# what the wheel's Python runs: an installed extension is a package without a fixed place
 _LOAD = """
 import sys
 from importlib.util import module_from_spec, spec_from_file_location
@@ -20,7 +21,6 @@ spec.loader.exec_module(package)
 from robir_addon.headless import main
 sys.exit(main())
 """
-"""What the wheel's Python runs: an installed extension is a package without a fixed place."""
 
 
 def blender_command(words: Sequence[str]) -> tuple[list[str], dict[str, str]]:

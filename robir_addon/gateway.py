@@ -55,11 +55,7 @@ def _forget() -> None:
 
 
 def _require_ours() -> None:
-    """Refuse a `robir` that is not the one this extension was built with.
-
-    Raises:
-        AddonError: If it is missing, foreign, or of another version.
-    """
+    """Refuse a `robir` that is not the one this extension was built with, by an AddonError."""
     shipped = _shipped_version()
     if shipped is None:
         return

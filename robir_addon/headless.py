@@ -15,7 +15,7 @@ import math
 import os
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TextIO
@@ -36,12 +36,10 @@ from .result.asset import fill_simple_name, leave_machine, make_asset
 from .result.importer import import_result, read_tone_curve
 from .result.placing import stand
 
+# set by who starts a command and keeps its standard input open for as long as it waits
 _FOLLOWED = "ROBIR_FOLLOWED"
-"""Set by who starts a command and keeps its standard input open for as long as it waits."""
-
+# last bytes of a whole compressed .blend: the mark of the table of its parts
 _COMPRESSED_END = b"\xb1\xea\x92\x8f"
-"""Last bytes of a whole compressed .blend: the mark of the table of its parts."""
-
 _Made = tuple[list[Path], tuple[str, ...]]  # files that a command wrote, and sentences for the user
 _INTERRUPTED = 130
 _DISK = 6
@@ -174,8 +172,7 @@ def render_views(options: argparse.Namespace, reports: TextIO) -> _Made:
     paths, scene = _scene_to_render(options, reports)
     cameras, table = _chosen_cameras(scene, options.views), _tone_table(paths)
     files = []
-    for index, camera in enumerate(cameras):
-        _say(reports, {"progress": index / len(cameras), "message": f"rendering {camera[VIEW]}"})
+    for camera in _told(cameras, reports, lambda camera: f"rendering {camera[VIEW]}"):
         use_camera(scene, camera, options.max_side)
         files.append(_picture(paths.renders, f"rerender_{camera[VIEW]}.png"))
         render_still(scene, files[-1], table)
@@ -192,9 +189,8 @@ def relight(options: argparse.Namespace, reports: TextIO) -> _Made:
     show_environment(scene, scene.world, environment)
     turn_light(scene, math.radians(options.rotation))
     files = []
-    for index, camera in enumerate(cameras):
-        message = f"relighting view {camera[VIEW]} with {environment.name}"
-        _say(reports, {"progress": index / len(cameras), "message": message})
+    text = f"relighting view {{}} with {environment.name}"
+    for camera in _told(cameras, reports, lambda camera: text.format(camera[VIEW])):
         use_camera(scene, camera, options.max_side)
         files.append(_picture(paths.renders, f"relit_{environment.stem}_{camera[VIEW]}.png"))
         render_still(scene, files[-1], table)
@@ -208,8 +204,7 @@ def picture_lights(options: argparse.Namespace, reports: TextIO) -> _Made:
     camera = _chosen_cameras(scene, "all")[0]
     use_close_up(scene, camera, _points_of_asset(scene), options.max_side)
     files = []
-    for index, (light, name, _) in enumerate(SHOWN_LIGHTS):
-        _say(reports, {"progress": index / len(SHOWN_LIGHTS), "message": f"light {name}"})
+    for light, _, _ in _told(SHOWN_LIGHTS, reports, lambda shown: f"light {shown[1]}"):
         if light:
             show_environment(scene, scene.world, found_environment(Path(light)))
             turn_light(scene, 0.0)
@@ -256,8 +251,7 @@ def _turntable(
     show_environment(scene, scene.world, environment)
     asset = next(o for o in scene.objects if o.type == "MESH" and MARK in o)
     start, middle, frames = asset.matrix_world.copy(), Vector(_points_of_asset(scene).mean(0)), []
-    for index in range(count):
-        _say(reports, {"progress": index / count, "message": f"frame {index + 1} of {count}"})
+    for index in _told(range(count), reports, lambda index: f"frame {index + 1} of {count}"):
         turn = 2.0 * math.pi * index / count
         if options.turns != "light":
             about = Matrix.Translation(middle) @ Matrix.Rotation(turn, 4, "Z")
@@ -342,6 +336,13 @@ def _own_standard_output() -> TextIO:
 def _say(reports: TextIO, line: dict[str, Any]) -> None:
     reports.write(json.dumps(line) + "\n")
     reports.flush()
+
+
+def _told(items: Sequence[Any], reports: TextIO, message: Callable[[Any], str]) -> Iterator[Any]:
+    """One after another, each with a line of progress."""
+    for index, item in enumerate(items):
+        _say(reports, {"progress": index / len(items), "message": message(item)})
+        yield item
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -27,9 +27,8 @@ _ENGINES = (
 
 _CHOOSE = "choose one in the add-on's preferences"
 
+# when the engine's state was last asked for to be drawn, and the answer
 _shown: list[tuple[float, Status]] = []
-"""When the engine's state was last asked for to be drawn, and the answer."""
-
 _FRESH_SECONDS = 1.0
 
 

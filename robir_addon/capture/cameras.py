@@ -9,9 +9,8 @@ import numpy as np
 from mathutils import Matrix, Vector
 
 SENSOR_WIDTH = 36.0
+# custom property with the view's name; Blender may have to number the object's own
 VIEW = "robir_view"
-"""Custom property with the view's name; Blender may have to number the object's own."""
-
 _MARGIN = 0.08  # share of a close-up's width that is left free on either side
 _SIZE = "robir_size"
 _ASPECT = "robir_aspect"

@@ -24,9 +24,8 @@ from ..child import blender_command
 from ..errors import RequestError, ResultError
 from ..gateway import replacing
 
+# kinds of files that are read here; GLB, glTF, OBJ, PLY, STL and OFF the engine reads itself
 SUFFIXES = (".fbx", ".usd", ".usda", ".usdc", ".usdz", ".abc")
-"""Kinds of files that are read here; GLB, glTF, OBJ, PLY, STL and OFF the engine reads itself."""
-
 MOST_BYTES = 1 << 33  # memory that reading may take; five million faces take a quarter of it
 MOST_SECONDS = 600.0  # time on the clock, and of the processor, that reading may take
 _PR_SET_PDEATHSIG = 1  # of <linux/prctl.h>: a signal is sent when the parent ends

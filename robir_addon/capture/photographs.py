@@ -72,8 +72,8 @@ def left_out_of(settings: Any) -> tuple[str, ...]:
 _MOST = 6
 _NAME = "recent.json"
 
+# capture and chosen result folder, absolute; read once, for panels show them
 _known: list[tuple[str, str]] = []
-"""Capture and chosen result folder, absolute; read once, for panels show them."""
 
 
 def remember(capture: Path, out: str) -> None:

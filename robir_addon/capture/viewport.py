@@ -22,9 +22,8 @@ GAPS = "Not photographed"  # name of the collection that shows it
 MARK = "robir_capture"  # custom property of everything that is made here
 _LISTED = "robir_size"  # what lists a camera among those of a result, which these are not
 _SMALL_SIDE = 128  # longer side of the small copies, pixels
+# radii of the object that are shown as they are, and its distance from the origin in radii
 _LEAST_RADIUS, _MOST_RADIUS, _MOST_FAR = 0.02, 50.0, 50.0
-"""Radii of the object that are shown as they are, and its distance from the origin in radii."""
-
 _TINT = (1.0, 0.25, 0.05, 0.4)
 _PATCH = 0.09  # size of a patch of the tint, radii; the check's directions lie 0.16 apart
 _MOST_REACH = 12.0  # cameras farther off than this many radii are not made to fit into the view

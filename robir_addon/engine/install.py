@@ -32,17 +32,14 @@ from .states import GO_ON, INSTALL, Record, read_record, wheel_hash, wheel_versi
 CPU_INDEX = "https://download.pytorch.org/whl/cpu"
 CUDA_INDEX = "https://download.pytorch.org/whl/cu130"
 
+# versions and hashes: of what the core needs, of torch as the usual index has it, of pip
 HASHES, TORCH_HASHES, PIP_HASHES = "hashes.txt", "hashes-torch.txt", "hashes-pip.txt"
-"""Versions and hashes: of what the core needs, of torch as the usual index has it, of pip."""
-
+# share of each step in the time
 STEPS = {"environment": 0.04, "pip": 0.02, "robir": 0.27, "torch": 0.64, "check": 0.03}
-"""Share of each step in the time."""
-
 TORCH_BYTES = {"CPU": 200 * MEBIBYTE, "CUDA": 2600 * MEBIBYTE}
 OTHER_BYTES = 250 * MEBIBYTE
+# room for the downloads, of which pip holds those of one step twice, and what they unpack to
 NEEDED_BYTES = {"CPU": 3 << 30, "CUDA": 11 << 30}
-"""Room for the downloads, of which pip holds those of one step twice, and what they unpack to."""
-
 _MARK = "RobIR's engine: made by the Blender add-on, removed by its preferences.\n"
 _CANCELLED = 130
 

@@ -23,50 +23,27 @@ TAIL = 40  # lines of pip that are searched for the reason of a failure
 _RAW_PROGRESS = (24, 1)
 _RESUMES = (25, 1)
 
+# what pip's output means: pattern, sentence, cure; the first that fits
 _REASONS = (
-    (
-        r"No module named pip",
-        "the environment is damaged",
-        "press Remove Engine, then Install Engine",
-    ),
-    (
-        r"No space left on device|Errno 28|not enough space on the disk",
-        "the disk is full",
-        f"make room, then {GO_ON}",
-    ),
-    (
-        r"Long Path support",
-        "Windows refuses the long names of torch's files",
-        f"turn on long paths in Windows (LongPathsEnabled), or {CHOOSE_EXISTING}",
-    ),
-    (
-        r"CERTIFICATE_VERIFY_FAILED|SSLError",
-        "the server's certificate is not trusted",
-        "check the clock, or give pip your proxy's certificate with PIP_CERT",
-    ),
-    (
-        r"DO NOT MATCH THE HASHES|BadZipFile|invalid wheel|Wheel .* is invalid|incomplete-download",
-        "a package arrived damaged",
-        GO_ON,
-    ),
-    (
-        r"NewConnectionError|NameResolutionError|Temporary failure|getaddrinfo failed",
-        "the network cannot be reached",
-        f"check that this machine is online, then {GO_ON}",
-    ),
-    (
-        r"ConnectionError|ConnectionReset|IncompleteRead"
-        r"|Connection broken|ProtocolError|ReadTimeout|Max retries|timed out",
-        "the download broke off",
-        f"check the network, then {GO_ON}",
-    ),
-    (
-        r"Permission denied|Errno 13|WinError 5|WinError 32",
-        "a file of the engine cannot be written",
-        "close other Blenders and reconstructions that use the engine, then press Install Engine",
-    ),
-)
-"""What pip's output means: pattern, sentence, cure; the first that fits."""
+    (r"No module named pip", "the environment is damaged",
+     "press Remove Engine, then Install Engine"),
+    (r"No space left on device|Errno 28|not enough space on the disk", "the disk is full",
+     f"make room, then {GO_ON}"),
+    (r"Long Path support", "Windows refuses the long names of torch's files",
+     f"turn on long paths in Windows (LongPathsEnabled), or {CHOOSE_EXISTING}"),
+    (r"CERTIFICATE_VERIFY_FAILED|SSLError", "the server's certificate is not trusted",
+     "check the clock, or give pip your proxy's certificate with PIP_CERT"),
+    (r"DO NOT MATCH THE HASHES|BadZipFile|invalid wheel|Wheel .* is invalid|incomplete-download",
+     "a package arrived damaged", GO_ON),
+    (r"NewConnectionError|NameResolutionError|Temporary failure|getaddrinfo failed",
+     "the network cannot be reached", f"check that this machine is online, then {GO_ON}"),
+    (r"ConnectionError|ConnectionReset|IncompleteRead"
+     r"|Connection broken|ProtocolError|ReadTimeout|Max retries|timed out",
+     "the download broke off", f"check the network, then {GO_ON}"),
+    (r"Permission denied|Errno 13|WinError 5|WinError 32",
+     "a file of the engine cannot be written",
+     "close other Blenders and reconstructions that use the engine, then press Install Engine"),
+)  # fmt: skip
 
 
 class Pip:

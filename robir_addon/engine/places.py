@@ -9,20 +9,20 @@ import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from .errors import EngineError
 
 IS_WINDOWS = os.name == "nt"
 CHOOSE_EXISTING = "choose an existing environment in the add-on's preferences"
 
+# releases of Python for which all that the engine consists of is offered
 OLDEST, NEWEST = (3, 11), (3, 13)
-"""Releases of Python for which all that the engine consists of is offered."""
-
 _ADDON = Path(__file__).parents[1]
 
+# variables besides Python's and pip's own that lead another Python astray
 _LEAKS = ("__PYVENV_LAUNCHER__",)
-"""Variables besides Python's and pip's own that lead another Python astray."""
-
+# what pip is told of the network it is in; nothing else of its settings is passed on
 _PIP_KEEPS = frozenset(
     f"PIP_{name}"
     for name in (
@@ -30,7 +30,16 @@ _PIP_KEEPS = frozenset(
         *("INDEX_URL", "TRUSTED_HOST"),
     )
 )
-"""What pip is told of the network it is in; nothing else of its settings is passed on."""
+
+
+class _Below:
+    """A file or folder of fixed name below the `root` of what has it as an attribute."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def __get__(self, owner: Any, kind: Any = None) -> Path:
+        return owner.root / self._name
 
 
 @dataclass(frozen=True)
@@ -39,30 +48,19 @@ class Place:
 
     root: Path
 
-    @property
-    def marker(self) -> Path:
-        """Says that the folder is ours; written first, removed last."""
-        return self.root / "robir-engine.txt"
-
-    @property
-    def record(self) -> Path:
-        """What was installed; written last, so its absence means an unfinished installation."""
-        return self.root / "engine.json"
-
-    @property
-    def environment(self) -> Path:
-        """The virtual environment."""
-        return self.root / "env"
+    marker = _Below("robir-engine.txt")  # says that the folder is ours; written first
+    record = _Below("engine.json")  # what was installed; written last, so absent where unfinished
+    environment = _Below("env")  # the virtual environment
+    whole = _Below("env/robir-whole")  # says that the environment was made to its end
+    cache = _Below("downloads")  # finished ones, kept until the installation is done
+    unfinished = _Below("downloads/unfinished")  # pip works there; a stopped one leaves its parts
+    log = _Below("install.log")  # all that pip said, for a report
+    lock = _Below("lock")  # held by the one process that installs or removes
 
     @property
     def python(self) -> Path:
         """The environment's interpreter."""
         return python_in(self.environment)
-
-    @property
-    def whole(self) -> Path:
-        """Says that the environment was made to its end."""
-        return self.environment / "robir-whole"
 
     @property
     def site_packages(self) -> Path:
@@ -71,26 +69,6 @@ class Place:
             return self.environment / "Lib/site-packages"
         found = sorted(self.environment.glob("lib/python*/site-packages"))
         return found[0] if found else self.environment / "lib"
-
-    @property
-    def cache(self) -> Path:
-        """Finished downloads, kept until the installation is done."""
-        return self.root / "downloads"
-
-    @property
-    def unfinished(self) -> Path:
-        """Where pip works; one that is stopped leaves there what it had fetched."""
-        return self.cache / "unfinished"
-
-    @property
-    def log(self) -> Path:
-        """All that pip said, for a report."""
-        return self.root / "install.log"
-
-    @property
-    def lock(self) -> Path:
-        """Held by the one process that installs or removes."""
-        return self.root / "lock"
 
 
 def python_in(environment: Path) -> Path:
@@ -192,9 +170,8 @@ def _installed_python(minor: int) -> Path | None:
     return None
 
 
+# keeps Windows from opening a console for a subprocess
 QUIETLY = getattr(subprocess, "CREATE_NO_WINDOW", 0)
-"""Keeps Windows from opening a console for a subprocess."""
-
 _SECONDS = 60
 _ANOTHER = "choose another one in the add-on's preferences"
 

@@ -38,9 +38,8 @@ _FORMATS = {
 }
 
 _MOST_NAMES = 3  # files that a finding names in the panel; `robir check` names more
+# settings that say what the user knows of the capture
 _KNOWN = ("spot_texel", "spot_albedo", "spot_result", "spot_shape", "sun", "tone_curve")
-"""Settings that say what the user knows of the capture."""
-
 _PLACE = ("view_scale", "view_shift")  # settings that say how the capture was brought into view
 _faulty: set[Path | None] = set()  # captures that the last look at them refused
 

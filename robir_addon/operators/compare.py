@@ -19,8 +19,8 @@ from .shared import Operator, has_result, result_paths
 
 COMPARISON = "RobIR comparison"
 
+# the view that was compared last, and its result folder; a file that opens has none
 _shown: list[tuple[Path, Comparison]] = []
-"""The view that was compared last, and its result folder; a file that opens has none."""
 
 
 def _is_compared(context: bpy.types.Context) -> str:

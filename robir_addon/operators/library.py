@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Many captures into a library of assets, and that library into Blender's Preferences."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import bpy
@@ -78,38 +79,35 @@ class ROBIR_OT_stop_batch(Operator, bpy.types.Operator):
         batch.look()
 
 
-class ROBIR_OT_drop_from_batch(Operator, bpy.types.Operator):
+class _CaptureOperator(Operator):
+    """Changes what becomes of one capture in the queue."""
+
+    bl_options = {"REGISTER", "INTERNAL"}
+    needs = (_has_library,)
+    change: Callable[[library.LibraryPaths, str], None]
+
+    name: StringProperty(name="Capture", options={"HIDDEN", "SKIP_SAVE"})
+
+    def work(self, context: bpy.types.Context) -> None:
+        try:
+            self.change(batch.chosen(context.scene.robir), self.name)
+        except ValueError as fault:
+            raise RequestError(str(fault)) from fault
+        batch.look()
+
+
+class ROBIR_OT_drop_from_batch(_CaptureOperator, bpy.types.Operator):
     """Leave this capture out of the batch; what it has finished is kept."""
 
     bl_label = "Drop from Batch"
-    bl_options = {"REGISTER", "INTERNAL"}
-    needs = (_has_library,)
-
-    name: StringProperty(name="Capture", options={"HIDDEN", "SKIP_SAVE"})
-
-    def work(self, context: bpy.types.Context) -> None:
-        try:
-            library.drop(batch.chosen(context.scene.robir), self.name)
-        except ValueError as fault:
-            raise RequestError(str(fault)) from fault
-        batch.look()
+    change = staticmethod(library.drop)
 
 
-class ROBIR_OT_prefer_in_batch(Operator, bpy.types.Operator):
+class ROBIR_OT_prefer_in_batch(_CaptureOperator, bpy.types.Operator):
     """Let the batch do this capture before all others that wait."""
 
     bl_label = "Do Next"
-    bl_options = {"REGISTER", "INTERNAL"}
-    needs = (_has_library,)
-
-    name: StringProperty(name="Capture", options={"HIDDEN", "SKIP_SAVE"})
-
-    def work(self, context: bpy.types.Context) -> None:
-        try:
-            library.prefer(batch.chosen(context.scene.robir), self.name)
-        except ValueError as fault:
-            raise RequestError(str(fault)) from fault
-        batch.look()
+    change = staticmethod(library.prefer)
 
 
 class ROBIR_OT_add_library(Operator, bpy.types.Operator):

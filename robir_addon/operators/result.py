@@ -185,9 +185,8 @@ class ROBIR_OT_copy_report(Operator, bpy.types.Operator):
         return {"FINISHED"}
 
 
+# the result folder; its capture lies in it, under the same name
 _SHIPPED = Path(__file__).parents[1] / "sample" / "avocado"
-"""The result folder; its capture lies in it, under the same name."""
-
 _LIGHT = "sunrise"  # what it is relit by: a low sun, unlike the light that it was photographed in
 
 

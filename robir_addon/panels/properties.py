@@ -242,8 +242,8 @@ class ROBIR_PG_settings(bpy.types.PropertyGroup):
     )
 
 
+# choices as Blender was told last, which keeps no strings of its own
 _results: list[tuple[str, str, str]] = []
-"""Choices as Blender was told last, which keeps no strings of its own."""
 
 
 def _result_items(settings: ROBIR_PG_settings) -> list[tuple[str, str, str]]:

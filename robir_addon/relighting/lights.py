@@ -22,6 +22,7 @@ from ..errors import RequestError, ResultError
 from ..gateway import JobPaths
 from ..words import words
 
+# the recovered light and the maps that Blender ships: file stem, name, tool-tip
 SHOWN_LIGHTS = (
     ("", Sentence("Recovered"), Sentence("Light of the photographs")),
     ("city", Sentence("City"), Sentence("Street between buildings under an open sky")),
@@ -33,8 +34,6 @@ SHOWN_LIGHTS = (
     ("sunrise", Sentence("Sunrise"), Sentence("Low sun and a clear sky; long shadows")),
     ("sunset", Sentence("Sunset"), Sentence("Warm light from the horizon")),
 )
-"""The recovered light and the maps that Blender ships: file stem, name, tool-tip."""
-
 _BEFORE = "robir_world_before"
 _WHOLE = "robir_whole_light"
 _WITHOUT_SUN = "robir_light_without_sun"
@@ -223,12 +222,7 @@ def use_lamps(scene: bpy.types.Scene, use_sun_lamp: bool) -> None:
 
 
 def turn_light(scene: bpy.types.Scene, rotation: float) -> None:
-    """Turn the light of the scene's World, if it is one of ours, and the lamps with it.
-
-    Args:
-        scene: Scene that is lit.
-        rotation: Radians about the up axis, counter-clockwise seen from above.
-    """
+    """Turn the light of a scene's World, if it is ours, and its lamps; radians to the left."""
     world = scene.world
     if world is None or MARK not in world:
         return
@@ -274,11 +268,10 @@ def _node(world: bpy.types.World, kind: str) -> bpy.types.Node:
 RECOVERED = "recovered"  # identifier of the light of the photographs
 _MAPS = (".exr", ".hdr")
 
+# Blender's collections of icons by the result's absolute path, and by folders of own maps
 _known: dict[str, Any] = {}
-"""Blender's collections of icons by the result's absolute path, and by folders of own maps."""
-
+# choices as Blender was told last, which keeps no strings of its own
 _items: dict[str, list[tuple[str, str, str, int, int]]] = {}
-"""Choices as Blender was told last, which keeps no strings of its own."""
 
 
 def light_pictures(result: str) -> dict[str, int]:

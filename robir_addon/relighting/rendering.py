@@ -11,13 +11,11 @@ import numpy as np
 
 from .view_transform import ToneTable
 
+# a light that goes round in 48 frames then takes four seconds: shadows can be followed
 FRAMES_PER_SECOND = 12
-"""A light that goes round in 48 frames then takes four seconds: shadows can be followed."""
-
 _SIGNATURE_BYTES = 8
+# chunks of a PNG that hold words, dates and the like
 _NOTES = (b"tEXt", b"zTXt", b"iTXt", b"tIME", b"eXIf")
-"""Chunks of a PNG that hold words, dates and the like."""
-
 _END = b"\0\0\0\0IEND\xaeB`\x82"
 
 

@@ -15,9 +15,8 @@ from .importer import read_cameras, read_run
 
 PREVIEW_SIDE = 256
 
+# where Blender's AssetMetaData holds the catalogue's number; its short name follows
 _CATALOGUE_AT = 2 * ctypes.sizeof(ctypes.c_void_p)
-"""Where Blender's AssetMetaData holds the catalogue's number; its short name follows."""
-
 _SIMPLE_NAME = "Reconstructed by RobIR"
 _SIMPLE_NAME_BYTES = 64
 

@@ -22,8 +22,8 @@ _MARGIN = 0.04
 _GAP = 0.02
 
 
+# what reading a damaged file of arrays raises
 _DAMAGE = (OSError, ValueError, LookupError, EOFError, zipfile.BadZipFile, zlib.error)
-"""What reading a damaged file of arrays raises."""
 
 
 @dataclass(frozen=True)

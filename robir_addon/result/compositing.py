@@ -13,9 +13,8 @@ from ..capture.cameras import capture_cameras, use_camera
 from ..errors import ResultError
 from .placing import middle_of_foot
 
+# custom property of the ground: whether the film was transparent before
 _GROUND = "robir_shadow_ground"
-"""Custom property of the ground: whether the film was transparent before."""
-
 _REACH = 20.0  # side of the ground, longest sides of the object
 
 

@@ -20,9 +20,8 @@ from .glb import read_glb
 from .importer import bring_in, import_light, light_up, mark_of
 from .materials import new_material, refresh_material, refresh_pictures
 
+# custom property of an object: the result folder its new material comes from
 TARGET = "robir_delit"
-"""Custom property of an object: the result folder its new material comes from."""
-
 _BEFORE = "robir_material_before"  # attribute of a mesh's faces: the slots they had before
 
 _HEAD = """ply

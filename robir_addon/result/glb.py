@@ -11,12 +11,11 @@ import numpy as np
 
 from ..errors import ResultError
 
+# what reading a damaged asset raises
 _DAMAGE = (
     OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError,
     struct.error,
 )  # fmt: skip
-"""What reading a damaged asset raises."""
-
 _TYPES = {5126: np.float32, 5125: np.uint32}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3}
 

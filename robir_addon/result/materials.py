@@ -17,9 +17,8 @@ from .placing import fit_again
 
 _DIGEST = "robir_digest"  # custom property of a mesh: its digest as it was imported
 _SPECULAR = "robir_specular"  # custom property of a material: the specular level as it was imported
+# custom property of a material: one string with the names of all sockets given a texture
 _FED = "robir_fed"
-"""Custom property of a material: one string with the names of all sockets given a texture."""
-
 _LEVEL = "Specular IOR Level"
 
 

@@ -65,10 +65,9 @@ def _image_editor(
     return None, None
 
 
+# custom property of an image: its title and the names of its pictures from left to right, one a
+# line
 CAPTIONS = "robir_captions"
-"""Custom property of an image: its title and the names of its pictures from left to right, one a
-line."""
-
 _SIZE = 13.0
 _GAP = 8.0
 _handles: list[Any] = []

@@ -18,28 +18,23 @@ from mathutils import Matrix, Vector
 from ..blocks import MARK, with_mark
 from ..errors import ResultError
 
+# custom property of the object: scale and shift (3) of its mesh against the capture's frame
 _FITTED = "robir_fitted"
-"""Custom property of the object: scale and shift (3) of its mesh against the capture's frame."""
-
+# custom property of the object: scale and shift (3) of cameras and lamps, world
 _MOVED = "robir_moved"
-"""Custom property of the object: scale and shift (3) of cameras and lamps, world."""
-
+# custom property of the object: it was stood on the floor, and is again where its foot goes
 _STANDS = "robir_stands"
-"""Custom property of the object: it was stood on the floor, and is again where its foot goes."""
-
+# custom property of the object: the height up to which its ground was deleted, capture's unit
 _DROPPED = "robir_dropped"
-"""Custom property of the object: the height up to which its ground was deleted, capture's unit."""
-
 SPOT = "robir_spot"  # custom property of a dot that goes with the object's mesh
 _SAME = (1.0, 0.0, 0.0, 0.0)
 
+# share of the object's faces below which a part that hangs on nothing is no part of it
 _CRUMB = 0.005
-"""Share of the object's faces below which a part that hangs on nothing is no part of it."""
-
 _STEEP = 0.1  # cosine below which a plane carries nothing
 
+# height above the ground, in radii of the object's bounds, up to which faces belong to it
 GROUND_SHARE = 0.03
-"""Height above the ground, in radii of the object's bounds, up to which faces belong to it."""
 
 
 def scale_result(asset: bpy.types.Object, factor: float) -> None:

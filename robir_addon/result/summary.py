@@ -26,9 +26,8 @@ class Summary:
     brightness: str
 
 
+# what was read, by the result's absolute path; the shown results only
 _known: dict[str, Summary] = {}
-"""What was read, by the result's absolute path; the shown results only."""
-
 _active: list[str] = []  # result of the object that was active last
 
 

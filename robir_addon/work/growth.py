@@ -24,11 +24,10 @@ from .worker import result_folder
 PREVIEW = "RobIR preview"  # name of the image
 _HALVES = ("photograph", "reconstruction")
 _both: list[dict[str, Any]] = []  # Blender's collection of the two icons, once there is a picture
+# stages in which a surface in the result folder is one of an earlier run
 _STAGES_BEFORE = ("", "capture")
-"""Stages in which a surface in the result folder is one of an earlier run."""
-
+# how often a file was opened or something was undone, which may change the shown surface
 _changes: list[int] = [0]
-"""How often a file was opened or something was undone, which may change the shown surface."""
 
 
 @dataclass
@@ -153,18 +152,17 @@ _GROWING = "robir_growing"  # custom property of both
 _MOST_BYTES = 1 << 20  # largest file that is read; the engine's have a tenth of it
 _HEAD = struct.Struct("<8sH")
 _MAGIC = b"\x93NUMPY\x01\x00"
+# what numpy writes before the numbers, where they are what is wanted
 _SHAPE = re.compile(
     rb"\{'descr': '(<f4|<i4)', 'fortran_order': False, 'shape': \((\d{1,7}), 3\), \}\s*"
 )
-"""What numpy writes before the numbers, where they are what is wanted."""
-
 _DAMAGE = (
     OSError, ValueError, KeyError, EOFError, RuntimeError, NotImplementedError, struct.error,
     zipfile.BadZipFile,
 )  # fmt: skip
 
+# vertices (V, 3) float32 in the capture's frame and unit, triangles (F, 3) int32
 Surface = tuple[np.ndarray, np.ndarray]
-"""Vertices (V, 3) float32 in the capture's frame and unit, triangles (F, 3) int32."""
 
 
 def read_surface(file: Path) -> Surface | None:

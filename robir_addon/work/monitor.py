@@ -29,14 +29,12 @@ from . import growth
 from .task import OnEnd, OnLine, Task
 from .worker import problem_and_cure, result_folder
 
+# called with the result folder of a job that was followed to its good end
 on_done: list[Callable[[Path], None]] = []
-"""Called with the result folder of a job that was followed to its good end."""
-
 _PULSE = 0.1
 _JOB_PERIOD = 0.5
+# seconds from the request to stop until a job is told to end; half as many later it is made to
 _PATIENCE = 10.0
-"""Seconds from the request to stop until a job is told to end; half as many later it is made to."""
-
 _STOPPING = "Stopping"
 
 
@@ -349,23 +347,18 @@ def _attach_after_load(*_: object) -> None:
 HANDLERS = (("load_post", _attach_after_load),)
 
 
-def _attach_at_start() -> None:
-    """Once Blender's data can be looked at, which it cannot be while add-ons register."""
-    _attach_after_load()
-
-
 def register() -> None:
     """Follow workers that are at work already."""
     atexit.register(_sleep)
-    if not bpy.app.background:
-        bpy.app.timers.register(_attach_at_start, first_interval=_JOB_PERIOD, persistent=True)
+    if not bpy.app.background:  # later: while add-ons register, the data cannot be looked at
+        bpy.app.timers.register(_attach_after_load, first_interval=_JOB_PERIOD, persistent=True)
 
 
 def unregister() -> None:
     """Follow nothing any more: tasks end, a reconstruction goes on by itself."""
     atexit.unregister(_sleep)
-    if bpy.app.timers.is_registered(_attach_at_start):
-        bpy.app.timers.unregister(_attach_at_start)
+    if bpy.app.timers.is_registered(_attach_after_load):
+        bpy.app.timers.unregister(_attach_after_load)
     _sleep()
     if _work.task is not None:
         _work.task.kill()

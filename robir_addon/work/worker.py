@@ -16,6 +16,7 @@ from ..capture.photographs import left_out_of
 from ..gateway import client
 from ..result.known import known_of
 
+# what the command line calls a thing, and what it is called in the panel
 _WORDS = (
     ("; continue with --resume", "; press Reconstruct to go on"),
     ("then continue with --resume", "then press Reconstruct to go on"),
@@ -41,7 +42,6 @@ _WORDS = (
      "move the object there"),
     ("use --device cpu", "choose the processor as Device"),
 )  # fmt: skip
-"""What the command line calls a thing, and what it is called in the panel."""
 
 
 def in_panel_words(sentence: str) -> str:
