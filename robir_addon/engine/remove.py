@@ -38,11 +38,7 @@ def _say(**report: object) -> None:
     sys.stdout.flush()
 
 
-def _unheard(_share: float, _message: str) -> None:
-    pass
-
-
-def remove(place: Place, progress: Progress = _unheard) -> tuple[Path, ...]:
+def remove(place: Place, progress: Progress = lambda *_: None) -> tuple[Path, ...]:
     """Remove the engine; files that are not RobIR's stay, and their folder with them."""
     if place.root.is_symlink() or not place.marker.is_file():
         raise EngineError(

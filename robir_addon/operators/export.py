@@ -165,6 +165,9 @@ class ROBIR_OT_export_usd(_SaveAs, Operator, bpy.types.Operator):
 
 def _write_usd(layer: bpy.types.ViewLayer, objects: list[bpy.types.Object], target: Path) -> None:
     target.parent.mkdir(parents=True, exist_ok=True)
+    known = bpy.ops.wm.usd_export.get_rna_type().properties
+    is_newer = "export_textures_mode" in known  # than Blender 4.2
+    textures = {"export_textures_mode": "NEW"} if is_newer else {"export_textures": True}
     with only_selected(layer, objects):
         bpy.ops.wm.usd_export(
             filepath=str(target),
@@ -173,7 +176,7 @@ def _write_usd(layer: bpy.types.ViewLayer, objects: list[bpy.types.Object], targ
             relative_paths=True,
             export_custom_properties=False,  # they name folders of the user's
             convert_world_material=MARK in objects[0],
-            **_textures_too(),
+            **textures,
         )
     if not target.is_file():
         raise ResultError("{file} was not written; is the folder writable?", file=target.name)
@@ -284,14 +287,6 @@ class ROBIR_OT_mark_asset(Operator, bpy.types.Operator):
 
     def work(self, context: bpy.types.Context) -> None:
         make_asset(result_asset(context), result_paths(context))
-
-
-def _textures_too() -> dict[str, str | bool]:
-    """The export's choice to write textures; Blender 4.2 has other words for it."""
-    known = bpy.ops.wm.usd_export.get_rna_type().properties
-    if "export_textures_mode" in known:
-        return {"export_textures_mode": "NEW"}
-    return {"export_textures": True}
 
 
 def copy_whole(source: Path, target: Path) -> None:

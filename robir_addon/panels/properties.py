@@ -142,7 +142,9 @@ class ROBIR_PG_settings(bpy.types.PropertyGroup):
         description="Which of the file's results the panels show and work with; another one is "
         "shown as well when its object is clicked",
         items=lambda settings, _context: _result_items(settings),
-        get=lambda settings: _shown_result(settings),
+        get=lambda settings: [item[0] for item in _result_items(settings)].index(
+            bpy.path.abspath(settings.result)
+        ),
         set=lambda settings, number: _show_result(settings, number),
     )
     spot_texel: FloatVectorProperty(
@@ -251,11 +253,6 @@ def _result_items(settings: ROBIR_PG_settings) -> list[tuple[str, str, str]]:
     roots = {bpy.path.abspath(settings.result), *(o[MARK] for o in imported_objects())}
     _results[:] = [(root, Path(root).name, root) for root in sorted(roots)]
     return _results
-
-
-def _shown_result(settings: ROBIR_PG_settings) -> int:
-    shown = bpy.path.abspath(settings.result)
-    return next(i for i, item in enumerate(_result_items(settings)) if item[0] == shown)
 
 
 def _show_result(settings: ROBIR_PG_settings, number: int) -> None:

@@ -222,7 +222,7 @@ def use_lamps(scene: bpy.types.Scene, use_sun_lamp: bool) -> None:
 
 
 def turn_light(scene: bpy.types.Scene, rotation: float) -> None:
-    """Turn the light of a scene's World, if it is ours, and its lamps; radians to the left."""
+    """Turn the light of a scene's World, if it is ours, and its lamps by `rotation`, radians."""
     world = scene.world
     if world is None or MARK not in world:
         return
