@@ -47,9 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "--install", metavar="BLENDER", help="executable of the Blender to install it in"
     )
     parser.add_argument("--website", metavar="URL", default="", help="for the manifest")
-    parser.add_argument(
-        "--without-installer", action="store_true", help="leave out Install Engine"
-    )
+    parser.add_argument("--without-installer", action="store_true", help="leave out Install Engine")
     options = parser.parse_args(arguments)
     try:
         archive = build(options.out.resolve(), options.website, not options.without_installer)

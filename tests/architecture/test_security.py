@@ -23,7 +23,6 @@ STARTS_PROGRAMS = {
     "core/robir/jobs/client.py",
     "robir_addon/capture/foreign_mesh.py",
     "robir_addon/command_line.py",
-    "robir_addon/engine/existing.py",
     "robir_addon/engine/install.py",
     "robir_addon/engine/pip.py",
     "robir_addon/engine/places.py",
