@@ -48,7 +48,7 @@ def show_capture(scene: bpy.types.Scene, facts: dict[str, Any]) -> Iterator[None
     collection.objects.link(bounds)
     if facts.get("points"):
         collection.objects.link(_sparse_points(facts["points"]))
-    for finding in facts["findings"]:
+    for finding in facts.get("findings", ()):
         if finding["code"] == GAP:
             collection.children.link(_gaps(finding["numbers"], centre, radius))
     cameras = []

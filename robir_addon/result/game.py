@@ -16,7 +16,7 @@ from ..blocks import MARK, only_selected
 from ..errors import ResultError
 from .placing import GROUND_SHARE, crumbs, delete_faces, faces_of_ground, middle_of_foot, points_of
 
-_CAGE = 0.02  # how far from the coarse surface the fine one is looked for, longest sides
+_CAGE = 0.3  # how far from the coarse surface the fine one is looked for, widths of a triangle
 _MARGIN = 8  # texels that the normal map goes on beyond its charts
 
 
@@ -37,6 +37,7 @@ def dense_copy(
     try:
         if is_cleaned:
             _clean(copy, table)
+        copy.modifiers.new("RobIR triangles", "TRIANGULATE")
         copy.data = _evaluated(copy)
         meshes.append(copy.data)
         copy.modifiers.clear()
@@ -57,11 +58,7 @@ def level_of(
 ) -> Iterator[bpy.types.Object]:
     """A coarser copy under a name, whose material has the dense one's shape as a normal map."""
     with reduced(dense, faces, 0):
-        modifier = dense.modifiers.new("RobIR triangles", "TRIANGULATE")
-        try:
-            data = _evaluated(dense)
-        finally:
-            dense.modifiers.remove(modifier)
+        data = _evaluated(dense)
     level, data.name = bpy.data.objects.new(name, data), name
     dense.users_collection[0].objects.link(level)
     bumps = bpy.data.images.new(f"{name} normal", side, side)
@@ -117,12 +114,13 @@ def _bake(dense: bpy.types.Object, level: bpy.types.Object) -> None:
     scene, layer = bpy.context.scene, bpy.context.view_layer
     engine, samples = scene.render.engine, scene.cycles.samples
     scene.render.engine, scene.cycles.samples = "CYCLES", 1
+    areas = [face.area for face in level.data.polygons]
     try:
         with only_selected(layer, [dense, level], level):
             bpy.ops.object.bake(
                 type="NORMAL",
                 use_selected_to_active=True,
-                cage_extrusion=_CAGE * max(level.dimensions),
+                cage_extrusion=_CAGE * (sum(areas) / len(areas)) ** 0.5,
                 margin=_MARGIN,
                 use_clear=True,
             )

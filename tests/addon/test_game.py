@@ -42,14 +42,14 @@ def slant(file, radius):
     bpy.context.view_layer.objects.active = shown
     shown.select_set(True)
     place = baked("POSITION")
-    seen = place[:, 3] > 0
+    seen = (place[:, :3] != 0).any(1)  # what was not baked is 0
     truth = place[seen, :3] - [0, 0, radius]
     truth /= np.linalg.norm(truth, axis=1, keepdims=True)
     answer = []
     for _ in range(2):
         normal = 2 * baked("NORMAL")[seen, :3] - 1
         cosine = (normal * truth).sum(1) / np.linalg.norm(normal, axis=1)
-        answer.append(float(np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean()))
+        answer.append(float(np.median(np.degrees(np.arccos(np.clip(cosine, -1, 1))))))
         for link in list(shown.active_material.node_tree.links):
             if link.to_socket.name == "Normal":
                 shown.active_material.node_tree.links.remove(link)
@@ -67,7 +67,7 @@ def main(archive, result, out):
     answer = {"said": call("export_game", filepath=out + "/ball.glb", **wishes)}
     after = [census(), [list(o.location) for o in bpy.data.objects], scene.render.engine]
     answer["is_same"] = before == after
-    whole = {"most_faces": 200, "levels": 1, "is_cleaned": False, "is_usd": False}
+    whole = {"most_faces": 60, "levels": 1, "is_cleaned": False, "is_usd": False}
     call("export_game", filepath=out + "/whole.glb", size=2.0, **whole)
     bpy.ops.wm.read_factory_settings(use_empty=True)
     bpy.ops.wm.usd_import(filepath=out + "/ball_LOD1.usdc")
@@ -104,4 +104,4 @@ def test_levels_stand_on_the_floor_with_the_fine_shape_in_a_normal_map(
         assert material.baseColorTexture.size == (sphere_run.TEXELS, sphere_run.TEXELS)
     assert answer["usd"] == [["ball_LOD1", pytest.approx(100, abs=12), [3]]]
     shown, plain = answer["slant"]
-    assert shown < 2.0 < plain, "the map says where the fine surface looks"
+    assert shown < 2.0 and shown < 0.8 * plain, "the map says where the fine surface looks"
