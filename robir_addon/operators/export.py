@@ -71,11 +71,12 @@ class _SaveAs(ExportHelper):
             self.most_faces = len(asset.data.polygons)  # a figure that one can start from
         return super().invoke(context, event)
 
-    def target(self) -> Path:
-        """The chosen file."""
+    def target(self, level: int = 0) -> Path:
+        """The chosen file, or the one of a coarser level of detail beside it."""
         if not self.filepath:
             raise RequestError("no file was given; name a {kind} file", kind=self.filename_ext)
-        return Path(bpy.path.abspath(self.filepath)).with_suffix(self.filename_ext)
+        target = Path(bpy.path.abspath(self.filepath)).with_suffix(self.filename_ext)
+        return target.with_stem(f"{target.stem}_LOD{level}") if level else target
 
 
 class ROBIR_OT_export_glb(_SaveAs, Operator, bpy.types.Operator):
@@ -103,11 +104,8 @@ class ROBIR_OT_export_glb(_SaveAs, Operator, bpy.types.Operator):
         if asset is not None:
             levels = levels_of_detail(asset, self.most_faces, self.levels)
             for level, faces in enumerate(levels):
-                target = self.target()
-                if level:
-                    target = target.with_stem(f"{target.stem}_LOD{level}")
                 with reduced(asset, faces, int(self.texture_side)):
-                    _write_glb(context.view_layer, asset, target)
+                    _write_glb(context.view_layer, asset, self.target(level))
             text = "Saved {name}, the object as it stands in the scene"
             if len(levels) > 1:
                 text = (
@@ -228,9 +226,11 @@ class ROBIR_OT_export_game(_SaveAs, Operator, bpy.types.Operator):
         with dense_copy(asset, table, self.size, is_cleaned=self.is_cleaned) as dense:
             levels = levels_of_detail(dense, self.most_faces, self.levels, 0.5)
             for number, faces in enumerate(levels):
-                stem = f"{first.stem}_LOD{number}" if number else first.stem
-                target = first.with_stem(stem)
-                with level_of(dense, faces, side, stem) as level, reduced(level, faces, side):
+                target = self.target(number)
+                with (
+                    level_of(dense, faces, side, target.stem) as level,
+                    reduced(level, faces, side),
+                ):
                     _write_glb(layer, level, target)
                     if self.is_usd:
                         _write_usd(layer, [level], target.with_suffix(".usdc"))

@@ -59,7 +59,8 @@ class Evidence:
 def refine(mesh: Mesh, views: tuple[View, ...], sides: tuple[int, ...]) -> Mesh:
     """Move a mesh to where photographs agree, finer from size to size of these."""
     reduced = {s: side_by_side(partial(reduce_view, side=s), views) for s in set(sides)}
-    for side, reach in zip(sides, (_REACH, *len(sides) * [_FINE_REACH]), strict=False):
+    for number, side in enumerate(sides):
+        reach = _FINE_REACH if number else _REACH
         photos = reduced[side]
         pictures = [StereoPicture.of(photo) for photo in photos]
         pixel = pixel_size([picture.camera for picture in pictures])
