@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -65,6 +66,15 @@ def test_each_quantity_is_a_run_of_its_own(capture):
     by_setting = {name for name in ORACLES if not is_set_after_step(name)}
     assert by_setting == {"family", "sun", "surface"}
     assert settings_of("family", capture)[0].startswith("appearance.families=")
+
+
+def test_the_family_of_a_drawn_camera_is_the_mean_of_cameras(capture, tmp_path):
+    photographs = tmp_path / "photographs"
+    shutil.copytree(capture, photographs)
+    scene = json.loads((photographs / "truth/scene.json").read_text())
+    scene |= {"view_transform": "camera response", "response": [0.1, -0.1, 0.0]}
+    (photographs / "truth/scene.json").write_text(json.dumps(scene))
+    assert settings_of("family", photographs) == ('appearance.families=["camera"]',)
 
 
 def test_a_told_light_is_the_map(capture, tmp_path):

@@ -69,9 +69,12 @@ def settings_of(name: str, capture: Path) -> tuple[str, ...]:
         capture: With its truth.
     """
     if name == "family":
-        curve = true_curve(load_truth(capture).scene)
-        # a look of Blender's comes before Filmic, which no family has
-        return (f'appearance.families=["{curve.name if curve is not None else "filmic"}"]',)
+        scene = load_truth(capture).scene
+        curve = true_curve(scene)
+        # a camera's response is drawn about the mean of cameras, which is the nearest family; a
+        # look of Blender's comes before Filmic, which no family has
+        nearest = "camera" if scene.get("response") else "filmic"
+        return (f'appearance.families=["{curve.name if curve is not None else nearest}"]',)
     if name == "sun":
         truth = load_truth(capture)
         if truth.scene.get("classes", {}).get("sun") != "sun":
