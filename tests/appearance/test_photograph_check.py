@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import replace
 
 import numpy as np
@@ -60,6 +61,31 @@ def test_metal_that_photographs_do_not_show_becomes_a_dielectric(floor):
     assert word.asset.values.metallic[inner].max() == 0
     np.testing.assert_allclose(word.asset.values.albedo[inner].mean(0), PAINTS[1], rtol=0.05)
     assert "metal" in word.choice.chosen
+
+
+def glossy_of(asset, read):
+    count = len(asset.specular.roughness)
+    roughness = np.full(count, 0.3, np.float32)
+    specular = replace(asset.specular, has_highlights=True, roughness=roughness)
+    return replace(asset, specular=specular, values=read(specular))
+
+
+def test_a_specular_layer_that_photographs_do_not_show_goes_as_a_whole(floor):
+    asset, check, read, texels = floor
+    word = check_asset(check, glossy_of(asset, read), read, texels)
+    assert word.taken_back["specular"] == 1.0 and not word.asset.specular.has_highlights
+    assert word.asset.specular.floor.max() == 0 and word.asset.specular.kept.min() == 1
+    np.testing.assert_array_equal(word.asset.values.albedo, asset.values.albedo)
+
+
+def test_a_specular_layer_that_photographs_show_stays(floor):
+    asset, check, read, texels = floor
+    glossy = glossy_of(asset, read)
+    shown = np.rint(255 * check._codes(check._radiance(glossy))).astype(np.uint8)
+    other = copy.copy(check)
+    other._seen = replace(check._seen, display=shown)
+    word = check_asset(other, glossy, read, texels)
+    assert word.taken_back["specular"] == 0.0 and word.asset.specular.has_highlights
 
 
 def test_a_texture_that_was_smoothed_away_comes_back(floor):

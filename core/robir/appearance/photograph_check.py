@@ -5,6 +5,10 @@ That mean knows no light, metal or shadow. Where the model is worse on a block o
 more than chance, metal, specular layer and smoothing are reverted there in turn, and what shows the
 photographs better stays. A gain over the mean proves nothing: a light of the wrong colour explains
 photographs well and turns the albedo brown.
+
+Before that the specular layer of the whole object is compared with none. Its trial on samples lets
+each have the diffuse light that suits it; here albedo is read once, and cannot be negative where
+more is reflected than photographs show.
 """
 
 from __future__ import annotations
@@ -16,6 +20,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from robir.appearance.held_out_test import HeldOutTest
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
 from robir.appearance.material.roughness import MATTE
@@ -178,6 +183,14 @@ class PhotographCheck:
         mine, mean = (np.where(hidden, np.nan, values).astype(np.float32) for values in means)
         return Loss(ours=mine, mean=mean, error=error.astype(np.float32))
 
+    def errors(self, asset: Asset) -> tuple[Floats, Rows]:
+        """Squared display errors (M,), 0..1, of all observations, and their photographs (M,)."""
+        valid = self._seen.weight > 0
+        photo = self._seen.display.astype(np.float32) / 255
+        return ((self._codes(self._radiance(asset)) - photo) ** 2).mean(2)[valid], valid.nonzero()[
+            1
+        ]
+
     def _radiance(self, asset: Asset) -> Floats:
         """(N, V, 3) that an asset sends to the photographs' cameras."""
         points, seen, values = self._points, self._seen, asset.values
@@ -216,8 +229,13 @@ def check_asset(
     surfels = asset.problem.scene.transport.surfels
     of_texel = check.blocks(texels.position, texels.normal)
     of_sample = check.blocks(surfels.position, surfels.normal)
-    loss = check.loss(asset)
     taken: dict[str, float] = dict.fromkeys(_PARTS, 0.0)
+    if asset.specular.has_highlights:
+        matt = _matt(asset, read)
+        (plain, view), (rich, _) = check.errors(matt), check.errors(asset)
+        if not HeldOutTest.of(plain, rich, (view,)).is_not_worse:
+            asset, taken["specular"] = matt, 1.0
+    loss = check.loss(asset)
     for part in _PARTS:
         wanted = loss.beyond(_LOSS)
         tried = _without(part, asset, wanted[of_sample], read) if wanted.any() else None
@@ -238,6 +256,19 @@ def check_asset(
         worst=float(worst.max()) if len(worst) else 0.0,
         unexplained=float(loss.beyond(_LOSS).mean()),
     )
+
+
+def _matt(asset: Asset, read: Callable[[SpecularMaterial], TexelAlbedo]) -> Asset:
+    """The asset whose dielectrics have no specular layer."""
+    before = asset.specular
+    specular = replace(
+        before,
+        has_highlights=False,
+        roughness=np.where(before.is_dielectric, np.float32(MATTE), before.roughness),
+        floor=np.zeros_like(before.floor),
+        kept=np.ones_like(before.kept),
+    )
+    return replace(asset, specular=specular, values=read(specular))
 
 
 def _without(

@@ -42,9 +42,9 @@ _SPECULAR_ROUNDS = 8  # turns of points and specular reflection
 _SPECULAR_RIDGE = 1e-4
 
 
-# share of the squared errors that slopes may leave: what is proven but small, a wrong mesh does as
-# well. On a rendered truck they left 0.8 and passed for lights; on a ball turned by hand 0.005
-_MOST_LEFT = 0.6
+# share of the squared errors that slopes may leave: a wrong mesh and metal explain as much. On a
+# rendered truck they left 0.8, on two metal tins 0.5 and 0.6; on a ball turned by hand 0.005
+_MOST_LEFT = 0.3
 
 
 def solve_slopes(log: Array, normals: Floats) -> Array:

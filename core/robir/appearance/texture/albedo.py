@@ -27,7 +27,6 @@ from robir.appearance.photometry.statistics import (
     weighted_radiance,
 )
 from robir.appearance.texture.residual_shading import (
-    ALIKE_BRIGHTNESS,
     most_albedo,
     smoothed_albedo,
     with_normals,
@@ -314,7 +313,7 @@ def _fill_unseen(state: TexelState) -> TexelState:
 def _smooth_albedo(state: TexelState) -> TexelState:
     points = with_normals(state.texels.position, state.texels.normal, NORMAL_SCALE)
     reflected = state.total * state.material.kept / state.below
-    most = most_albedo(state.albedo, reflected, state.disagreement, ALIKE_BRIGHTNESS)
+    most = most_albedo(state.albedo, reflected, state.disagreement)
     smooth = np.minimum(smoothed_albedo(state.albedo, state.unknown, points, _STEP), most)
     return replace(state, smooth=smooth.clip(MIN_ALBEDO, MAX_ALBEDO))
 

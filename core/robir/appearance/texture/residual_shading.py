@@ -22,11 +22,12 @@ _MESH_ERROR = 0.02  # length over which errors of the mesh's normals vary, unit 
 _REACH = 0.4  # how far the surroundings reach that a texel is compared with, unit frame
 _COUNT = 128  # texels of these
 _ROUNDS = 3  # how often texels are drawn together
-ALIKE_BRIGHTNESS = 0.35  # difference of log albedo within which texels may be one material
-_ALIKE_HUE = 0.17  # the same in hue
+_ALIKE_BRIGHTNESS = 0.15  # difference of log albedo within which texels may be one material
+_ALIKE_HUE = 0.08  # the same in hue
 # standard deviation of a texel's hue against that of its brightness: how much sun arrives, which
 # nobody knows at a shadow's edge, changes the one more than the other
-_HUE_DOUBT = 0.5
+_HUE_DOUBT = 0.25
+_LIFT = 0.35  # by how much surroundings may lift any texel (log albedo)
 _LEAST_DOUBT = 0.03  # adds to the standard deviation of every log albedo where texels are weighed
 _BLURRED = 12  # texels over which corrections are blurred at most
 
@@ -39,13 +40,13 @@ def with_normals(position: Floats, normal: Floats, scale: float) -> Floats:
     return np.concatenate([position, scale * normal], axis=1)
 
 
-def most_albedo(albedo: Floats, reflected: Floats, disagreement: Floats, alike: float) -> Floats:
+def most_albedo(albedo: Floats, reflected: Floats, disagreement: Floats) -> Floats:
     """Albedo (N, 3) that no surroundings may lift a texel above.
 
     Were none of its light reflected, all of it would be diffuse. To that comes what mesh and light
-    may be wrong by: `disagreement` (N,), a deviation of log albedo, and `alike`.
+    may be wrong by: `disagreement` (N,), a deviation of log albedo, and `_LIFT`.
     """
-    slack = np.exp(np.hypot(disagreement, alike))[:, None]
+    slack = np.exp(np.hypot(disagreement, _LIFT))[:, None]
     return (albedo * np.maximum(reflected, 1.0) * slack).astype(np.float32)
 
 
@@ -67,7 +68,7 @@ def smoothed_albedo(albedo: Floats, unknown: Floats, points: Floats, step: int) 
     certainty = 1 / (_LEAST_DOUBT + doubt) ** 2
     # not everything resembles the unknown
     wider = np.stack([doubt, np.minimum(_HUE_DOUBT * doubt, _ALIKE_HUE)])
-    alike = np.array([[ALIKE_BRIGHTNESS], [_ALIKE_HUE]], np.float32)
+    alike = np.array([[_ALIKE_BRIGHTNESS], [_ALIKE_HUE]], np.float32)
     width = 1 / (2 * (alike**2 + wider**2))
     known = np.isfinite(distance) * certainty[other]
     parts = blocks(len(nodes), CHUNK)
