@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -107,6 +108,27 @@ def test_test_views_are_held_out_and_thinned(shots, tmp_path):
     capture = read_capture(tmp_path, None, CaptureConfig(max_held_out=2))
     assert [len(capture.train), len(capture.held_out)] == [5, 2]
     assert all(view.name.startswith("test_") for view in capture.held_out)
+
+
+def test_another_format_of_the_same_views_is_the_same_capture_to_the_bit(shots, tmp_path):
+    synthetic, studio = tmp_path / "synthetic", tmp_path / "studio"
+    writers.nerf_synthetic(synthetic, shots, tests=2)
+    shutil.copytree(synthetic, studio)
+    parts = [json.loads((studio / f"transforms_{s}.json").read_text()) for s in ("train", "test")]
+    tests = [frame["file_path"].removeprefix("./") for frame in parts[1]["frames"]]
+    both = parts[0] | {"frames": parts[0]["frames"] + parts[1]["frames"], "test_filenames": tests}
+    for split in ("train", "test"):
+        (studio / f"transforms_{split}.json").unlink()
+    (studio / "transforms.json").write_text(json.dumps(both))
+    first, second = read(synthetic), read(studio)
+    assert [first.format, second.format] == ["nerf-synthetic", "nerfstudio"]
+    assert first.bounds.radius == second.bounds.radius
+    for one, other in zip(first.views, second.views, strict=True):
+        assert (one.name, one.split) == (other.name, other.split)
+        assert np.array_equal(one.image_display, other.image_display)
+        assert np.array_equal(one.mask, other.mask)
+        assert np.array_equal(one.camera.camera_to_world, other.camera.camera_to_world)
+        assert one.camera.fx == other.camera.fx and one.camera.cx == other.camera.cx
 
 
 def test_without_test_views_every_eighth_is_held_out(shots, tmp_path):
