@@ -259,15 +259,10 @@ def check_asset(
 
 
 def _matt(asset: Asset, read: Callable[[SpecularMaterial], TexelAlbedo]) -> Asset:
-    """The asset whose dielectrics have no specular layer."""
+    """The asset whose dielectrics have no specular layer; how rough they would be stays."""
     before = asset.specular
-    specular = replace(
-        before,
-        has_highlights=False,
-        roughness=np.where(before.is_dielectric, np.float32(MATTE), before.roughness),
-        floor=np.zeros_like(before.floor),
-        kept=np.ones_like(before.kept),
-    )
+    nothing, all_of_it = np.zeros_like(before.floor), np.ones_like(before.kept)
+    specular = replace(before, has_highlights=False, floor=nothing, kept=all_of_it)
     return replace(asset, specular=specular, values=read(specular))
 
 
