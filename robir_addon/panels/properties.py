@@ -116,8 +116,7 @@ class ROBIR_PG_settings(bpy.types.PropertyGroup):
         description="How much work is put into the result",
         items=(
             ("draft", "Draft", "Minutes on two processor cores"),
-            ("standard", "Standard", "Finer mesh and textures; about four times the work of Draft"),
-            ("high", "High", "As fine as the photographs allow; wants a CUDA device"),
+            ("standard", "Standard", "Finer mesh and textures, for photographs above 800 pixels"),
         ),
         default="draft",
     )

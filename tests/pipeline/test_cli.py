@@ -141,7 +141,7 @@ def test_resume_keeps_the_settings_of_the_folder(stages, capture, tmp_path, caps
     masks = tmp_path / "masks"
     masks.mkdir()
     out = tmp_path / "out"
-    words = ["--preset", "high", "--seed", "7", "--masks", str(masks)]
+    words = ["--preset", "standard", "--seed", "7", "--masks", str(masks)]
     assert reconstruct(capture, out, *words) == 0
     assert reconstruct(capture, out, "--resume") == 2
     assert "name the same with --masks" in capsys.readouterr().err

@@ -56,9 +56,9 @@ def test_a_capture_is_chosen_and_looked_at(window: BlenderWindow) -> None:
 
 
 def test_preset_and_device_are_chosen(window: BlenderWindow) -> None:
-    search(window, "preset high")
+    search(window, "preset standard")
     search(window, "device processor")
-    assert window.get(f"[{SETTINGS}.preset, {SETTINGS}.device]") == ["high", "cpu"]
+    assert window.get(f"[{SETTINGS}.preset, {SETTINGS}.device]") == ["standard", "cpu"]
 
 
 def test_a_reconstruction_is_started_and_stopped(window: BlenderWindow) -> None:

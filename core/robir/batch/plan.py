@@ -142,7 +142,7 @@ class Entry:
     # folder of captures
     path: str
     name: str = ""  # of its result folder; empty for that of the capture
-    preset: Literal["draft", "standard", "high"] = "draft"  # what it may cost
+    preset: Literal["draft", "standard"] = "draft"  # what it may cost
     settings: tuple[str, ...] = ()  # items as of `--set`
     masks: str = ""  # folder of masks, as `path`; empty for the capture's own
     memory: str = ""  # what it needs, such as "3G"; empty to estimate it
