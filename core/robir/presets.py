@@ -8,6 +8,7 @@ from dataclasses import replace
 
 from robir.config import RunConfig
 
+
 def draft() -> RunConfig:
     """Minutes on two CPU cores; every default of every room."""
     return RunConfig()

@@ -48,7 +48,9 @@ _LEAST_VIEWS = 3  # photographs that must show a block before it is judged
 # weight of a normal's direction beside places in the unit frame: a thin plate has two sides
 _FACING = 0.5
 
-_MARGIN = 2.0  # standard errors over photographs by which a block must be worse than the mean
+# standard errors over photographs by which a block must be worse than the mean, or a specular layer
+# worse than none
+_MARGIN = 2.0
 
 # dB against the mean that a person sees. True metal under normals that are a few degrees off loses
 # less, and so does smoothing, which removes shading that the light did not explain on purpose.
@@ -233,7 +235,8 @@ def check_asset(
     if asset.specular.has_highlights:
         matt = _matt(asset, read)
         (plain, view), (rich, _) = check.errors(matt), check.errors(asset)
-        if not HeldOutTest.of(plain, rich, (view,)).is_not_worse:
+        test = HeldOutTest.of(plain, rich, (view,))
+        if test.gain < -_MARGIN * test.error:
             asset, taken["specular"] = matt, 1.0
     loss = check.loss(asset)
     for part in _PARTS:
