@@ -15,7 +15,7 @@ def draft() -> RunConfig:
 
 
 def standard() -> RunConfig:
-    """Mesh, textures and renders for photographs of more than 800 pixels, by `draft`'s schedules."""
+    """Finer pixels, mesh and textures, for photographs of more than 800 pixels."""
     base = draft()
     return replace(
         base,
