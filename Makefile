@@ -5,7 +5,7 @@
 # make addon                       the Blender extension: dist/robir-VERSION.zip and dist/repository
 # make sample ASSET=x.gltf HDRI=y  anew the finished sample that comes with the extension
 # make setup                       only the environment; .venv/bin/robir is then the command
-# make fuzz [SECONDS=300]          hostile bytes for every reader, with atheris
+# make fuzz [SECONDS=300] [TARGETS=] hostile bytes for every reader, with atheris
 # make audit                       known weaknesses of the pinned versions
 # make hashes                      anew the versions and hashes that Install Engine may download
 # make hostile [ROUNDS=10]         hours of harm: mutated captures, forged results, kills, the disk, leaks
@@ -24,12 +24,6 @@ ROUNDS ?= 10
 KILLS ?= 40
 FORGED ?= 300
 RUNS ?= 100
-TARGETS ?= nerf_synthetic nerfstudio colmap_images colmap_cameras colmap_points colmap_text \
-  colmap_text_cameras colmap_rigs colmap_frames neus llff polycam reality_scan reality_xmp \
-  metashape meshroom opensfm openmvg bundler bundler_list sdfstudio nerfactor record3d \
-  stray_scanner stray_matrix arkit splats image status worker worker_log run manifest \
-  capture_json arrays mesh_glb mesh_gltf mesh_obj mesh_off mesh_ply mesh_stl plan_toml plan_json \
-  batch_json light_exr light_hdr video
 
 SHIPPED := core robir_addon blender_scenes build_addon.py
 SOURCES := core tests blender_scenes robir_addon build_addon.py
@@ -172,8 +166,7 @@ lint: setup
 # Hostile bytes for every reader, SECONDS each; what crashes one is kept in tests/hostile/crashes.
 fuzz: setup
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check 'atheris>=3.0'
-	@for target in $(TARGETS); do \
-	  PYTHONPATH=core:.:tests $(BIN)/python -m hostile.fuzz $$target $(SECONDS) || exit 1; done
+	PYTHONPATH=core:.:tests $(BIN)/python -m hostile.fuzz $(SECONDS) $(TARGETS)
 
 # Mutated captures, forged results, strangers' libraries and scenes, kills over all stages, faults of
 # the disk and leaks, each with its own count.

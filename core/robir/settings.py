@@ -51,7 +51,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(read_regular(path, _MAX_BYTES).decode("utf-8"))
     except OSError as error:
-        raise ConfigError(f"cannot read the settings {path}: {error.strerror}") from error
+        raise ConfigError(f"cannot read the settings {path}: {error.strerror or error}") from error
     except (ValueError, RecursionError) as error:
         raise ConfigError(f"{path} is not valid TOML: {error}") from error
 

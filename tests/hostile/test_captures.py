@@ -194,6 +194,23 @@ def test_links_out_of_the_capture_are_followed_only_if_told(studio, tmp_path, wh
     assert check_capture(studio, None, told)[0] is not None
 
 
+def test_a_pose_file_may_be_a_link(studio, tmp_path):
+    (studio / "transforms.json").rename(tmp_path / "poses.json")
+    (studio / "transforms.json").symlink_to(tmp_path / "poses.json")
+    assert len(read_frames(studio).frames) == 8
+
+
+def test_pose_files_of_gigabytes_are_not_read(studio, odd_shots, tmp_path):
+    """Those of COLMAP, in which every observation stands, may be larger."""
+    model = writers.colmap(tmp_path / "colmap", odd_shots, binary=True)
+    cases = ((studio, "transforms.json", 1 << 28), (model, "sparse/0/images.bin", 1 << 29))
+    for source, name, most in cases:
+        with (source / name).open("r+b") as hole:
+            hole.truncate(most + 1)
+        with pytest.raises(CaptureError, match=f"at most {most} are read"):
+            read_frames(source)
+
+
 @pytest.mark.parametrize("name", ["/", "a\0b", "\ud800", "x" * 300, "d/" * 3000, "..", "  ", "²"])
 def test_names_that_are_none(studio, name):
     edit(studio / "transforms.json", lambda c: c["frames"][2].update(file_path=name))

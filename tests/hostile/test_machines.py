@@ -24,6 +24,21 @@ ROOT = Path(__file__).parents[2]
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="takes POSIX signals and users")
 
 
+# of a run whose clock goes back by a day in its midst
+BACK = """
+import runpy, time
+real, calls = time.time, []
+
+def back_by_a_day():
+    calls.append(0)
+    return real() - (86400 if len(calls) > 20 else 0)
+
+time.time = back_by_a_day
+runpy.run_module("tests.pipeline.fakes", run_name="__main__")
+assert len(calls) > 20
+"""
+
+
 @pytest.fixture
 def whole(tmp_path) -> Path:
     """A capture, and what becomes of it where nothing happens."""
@@ -45,9 +60,10 @@ def wait_for(out: Path, process: subprocess.Popen[str]) -> None:
         time.sleep(0.01)
 
 
-def test_a_suspended_run_is_at_work_and_goes_on(whole):
+@pytest.mark.parametrize("program", [(), ("-c", BACK)], ids=["", "clock"])
+def test_a_suspended_run_is_at_work_and_goes_on(whole, program):
     out = whole.with_name("out")
-    with begun(out) as process:
+    with begun(out, *program) as process:
         wait_for(out, process)
         time.sleep(0.1)
         process.send_signal(signal.SIGSTOP)

@@ -162,6 +162,9 @@ FAULTS = {
     "an unknown kind": accessor(componentType=5124),
     "another type": accessor(type="MAT4"),
     "a type that is none": accessor(type=3),
+    "corners that are no whole numbers": lambda d: d["accessors"][1].update(
+        componentType=5126, count=6
+    ),
     "a count of -1": accessor(count=-1),
     "a count of a text": accessor(count="4"),
     "a count of 2^29": accessor(count=1 << 29),
@@ -189,6 +192,10 @@ FAULTS = {
     "primitives without attributes": lambda d: d["meshes"][0].update(primitives=[{}]),
     "another number of coordinates": accessor(count=2),
     "a corner that is not there": lambda d: [d["accessors"][n].update(count=2) for n in (0, 2)],
+    "more faces than are read": lambda d: [
+        d["accessors"][1].update(count=9_000_000),
+        d["meshes"][0].update(primitives=2 * d["meshes"][0]["primitives"]),
+    ],
     "another version": lambda d: d.update(asset={"version": "1.0"}),
     "no asset": lambda d: d.pop("asset"),
 }
@@ -208,6 +215,7 @@ def test_faults_are_words_of_ours(tmp_path, fault):
     [
         ("scan.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 0 1 2\n"),
         ("scan.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n"),
+        ("scan.obj", b"v 0\nv 1\nv 2\nf 1 2 3\n"),
         (
             "scan.ply",
             b"ply\nformat ascii 1.0\nelement vertex 4000000000\nproperty float x\nend_header\n",
@@ -225,6 +233,13 @@ def test_files_that_are_none(tmp_path, name, content):
     with pytest.raises(CaptureError) as refused:
         read_mesh(tmp_path / name)
     assert not PYTHON.search(str(refused.value)), refused.value
+
+
+def test_numbers_that_are_none_are_told_and_nothing_else(tmp_path):
+    """A NaN that signals makes NumPy warn where it is widened."""
+    document, binary = tetrahedron()
+    binary = b"\x01\x00\xa0\x7f" + binary[4:]
+    assert "corners that are no numbers" in read(tmp_path, document, binary).notes[0]
 
 
 def test_small_files_take_little(tmp_path):
@@ -283,4 +298,26 @@ def test_pictures_of_normals_pass_the_door_for_photographs(tmp_path, kind):
     )
     given = read(tmp_path, document, binary + content)
     assert given.detail is None
-    assert re.search("pixels are too many|passes", given.notes[0])
+    assert re.search("megapixels|passes", given.notes[0])
+
+
+def test_pictures_of_normals_are_counted_together(tmp_path, monkeypatch):
+    """Four of 90 megapixels take 2.9 GB."""
+    monkeypatch.setattr("robir.capture.gltf_file.MAX_PIXELS", 100)
+    document, binary = tetrahedron()
+    for number in range(2):
+        file = io.BytesIO()
+        Image.new("RGB", (8, 8), (128, 128, 255 - number)).save(file, "PNG")
+        document["bufferViews"].append(
+            {"buffer": 0, "byteOffset": len(binary), "byteLength": len(file.getvalue())}
+        )
+        binary += file.getvalue()
+    primitive = document["meshes"][0]["primitives"][0]
+    document["meshes"][0]["primitives"] = [primitive | {"material": n} for n in range(2)]
+    document |= {
+        "materials": [{"normalTexture": {"index": n}} for n in range(2)],
+        "textures": [{"source": n} for n in range(2)],
+        "images": [{"bufferView": 3 + n, "mimeType": "image/png"} for n in range(2)],
+    }
+    document["buffers"][0]["byteLength"] = len(binary)
+    assert "with the others it has too many pixels" in read(tmp_path, document, binary).notes[0]

@@ -13,6 +13,7 @@ from robir.errors import CaptureError, DeviceError, QualityError
 from robir.jobs.paths import JobPaths, read_json
 from robir.jobs.status import read_status
 from robir.pipeline import folder, runner
+from robir.pipeline.faults import translated
 from tests.pipeline.fakes import fake_stages, make_capture
 
 
@@ -184,6 +185,34 @@ def test_paths_that_are_none(word, command, capsys):
         cli.main([*command, word])
     assert ending.value.code == 2
     assert "path" in capsys.readouterr().err
+
+
+def test_a_broken_installation_is_no_full_disk(monkeypatch, capture, tmp_path, capsys):
+    """Before the folder of the result is made there is no disk of it to ask."""
+
+    def broken():
+        raise ImportError("skimage.transform")
+
+    monkeypatch.setattr(runner, "load_stages", broken)
+    assert reconstruct(capture, tmp_path / "not" / "there") == 4
+    assert "installation is damaged" in capsys.readouterr().err
+    bug = ZeroDivisionError()
+    assert translated(bug, "", tmp_path / "not" / "there") is bug
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--rotation", "nan"],
+        ["--rotation=-inf"],
+        ["--samples", "1000000000000"],
+    ],
+)
+def test_light_and_pictures_that_cannot_be(tmp_path, words, capsys):
+    with pytest.raises(SystemExit) as ending:
+        cli.main(["relight", str(tmp_path), "--environment", "city", *words])
+    assert ending.value.code == 2
+    assert words[0].split("=")[0] in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("command", ["relight", "evaluate"])

@@ -19,7 +19,7 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from robir.capture.gltf_json import COMPRESSED, MeshFaultError, buffer_of, entry, refuse_extension
-from robir.capture.images.decode import MAX_DECODED, MAX_PIXELS, MAX_SIDE, SCAN
+from robir.capture.images.decode import MAX_PIXELS, SCAN, excess
 from robir.jobs.records import check
 
 MOST_FACES = 5_000_000
@@ -27,6 +27,7 @@ MOST_CORNERS = 6_000_000  # of all parts of a file together, however often a par
 _MOST_NODES = 30_000
 
 _KINDS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+_WHOLE = (5121, 5123, 5125)  # of these, what indices may be
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 
@@ -208,6 +209,8 @@ class _Reader:
         table = self._document["accessors"][accessor]
         if table["type"] != kind:
             raise MeshFaultError(f"{who} are {table['type'][:9]} instead of {kind}")
+        if dtype is np.int64 and (table["componentType"] not in _WHOLE or table.get("normalized")):
+            raise MeshFaultError(f"{who} are no whole numbers")
         shape = (table["count"], _WIDTHS[kind])
         if "bufferView" in table:
             values = self._view(table, table["componentType"], shape, who).astype(dtype)
@@ -216,7 +219,7 @@ class _Reader:
         if "sparse" in table:
             sparse = table["sparse"]
             places, numbers = sparse["indices"], sparse["values"]
-            if not 0 <= sparse["count"] <= shape[0]:
+            if not 0 <= sparse["count"] <= shape[0] or places["componentType"] not in _WHOLE:
                 raise MeshFaultError(f"{who} replace {sparse['count']} of {shape[0]} entries")
             rows = self._view(places, places["componentType"], (sparse["count"], 1), who)
             rows = rows[:, 0].astype(np.int64)
@@ -292,10 +295,10 @@ def normal_maps(
             with file:
                 pixels += file.width * file.height
                 scans = content.count(SCAN) if file.format == "JPEG" else 1
-                if pixels > MAX_PIXELS or max(file.size) > MAX_SIDE:
-                    raise MeshFaultError(f"{file.width} by {file.height} pixels are too many")
-                if scans > 1 and scans * file.width * file.height > MAX_DECODED:
-                    raise MeshFaultError(f"it stores its picture in {scans} passes")
+                if what := excess(file.size, scans):
+                    raise MeshFaultError(f"it {what}")
+                if pixels > MAX_PIXELS:
+                    raise MeshFaultError("with the others it has too many pixels")
                 codes = np.array(file.convert("RGB"))
         except (OSError, SyntaxError, Image.DecompressionBombError) as fault:
             raise MeshFaultError("it is no picture that can be read, or damaged") from fault

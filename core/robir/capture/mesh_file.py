@@ -29,7 +29,7 @@ from robir.capture.gltf_file import (
 )
 from robir.capture.gltf_json import MeshFaultError, opened
 from robir.errors import CaptureError
-from robir.jobs.names import UnsafeNameError, checked_name, leads_out, regular
+from robir.jobs.names import UnsafeNameError, checked_name, leads_out, read_regular
 
 SUFFIXES = (".glb", ".gltf", ".obj", ".off", ".ply", ".stl")  # kinds of files that are read here
 FOREIGN = (".fbx", ".usd", ".usda", ".usdc", ".usdz", ".abc")  # read by Blender only
@@ -82,7 +82,8 @@ def mesh_parts(path: Path) -> dict[str, bytes]:
             f"{', '.join(SUFFIXES)}; of {', '.join(FOREIGN)} Blender can make a GLB"
         )
     try:
-        parts = {"": _content(path, _MAX_TEXT_BYTES if suffix in (".obj", ".off") else MAX_BYTES)}
+        most = _MAX_TEXT_BYTES if suffix in (".obj", ".off") else MAX_BYTES
+        parts = {"": read_regular(path, most)}
         if suffix == ".gltf":
             document, _ = opened(parts[""], is_binary=False)
             pictures = list(_normal_pictures(document))
@@ -93,7 +94,7 @@ def mesh_parts(path: Path) -> dict[str, bytes]:
                     if leads_out(part, [path.parent]):
                         raise MeshFaultError(f"{uri} lies outside its folder")  # noqa: TRY301
                     if part.exists() or entry not in pictures:
-                        parts[uri] = _content(part, MAX_BYTES)
+                        parts[uri] = read_regular(part, MAX_BYTES)
             if sum(map(len, parts.values())) > MAX_BYTES:
                 raise MeshFaultError(f"its files have more than {MAX_BYTES} bytes")  # noqa: TRY301
     except (OSError, UnsafeNameError, MeshFaultError) as fault:
@@ -101,6 +102,7 @@ def mesh_parts(path: Path) -> dict[str, bytes]:
     return parts
 
 
+@np.errstate(invalid="ignore", over="ignore")  # corners that are no numbers stay none
 def read_mesh(path: Path) -> Given:
     """All triangles of a file, whatever objects and materials they belong to."""
     parts = mesh_parts(path)
@@ -164,6 +166,8 @@ def _part_of(piece: Any) -> MeshPart:
         raise MeshFaultError(f"it has {len(faces)} faces, and up to {MOST_FACES} are read")
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise MeshFaultError("a face has a corner that is not there")
+    if vertices.shape[1:] != (3,):
+        raise MeshFaultError("a corner has not three numbers")
     uv = getattr(piece.visual, "uv", None)
     fits = uv is not None and np.shape(uv) == (len(vertices), 2)
     return MeshPart(
@@ -179,11 +183,6 @@ def _way_by_blender(path: Path) -> str:
         f"robir_addon.headless mesh {file} {glb}`, or with the extension in Blender by `blender -b "
         f"--command robir_scene mesh {file} {glb}`, and give that: --mesh {glb}"
     )
-
-
-def _content(path: Path, most: int) -> bytes:
-    with regular(path, most) as file:
-        return file.read()
 
 
 def _z_up(points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -202,8 +201,7 @@ def _merged(
             continue
         turned = np.linalg.det(matrix[:3, :3]) < 0
         faces.append((piece.faces[:, ::-1] if turned else piece.faces) + count)
-        with np.errstate(invalid="ignore", over="ignore"):  # corners that are no numbers stay none
-            vertices.append(piece.vertices @ matrix[:3, :3].T + matrix[:3, 3])
+        vertices.append(piece.vertices @ matrix[:3, :3].T + matrix[:3, 3])
         uvs.append(np.full((len(piece.vertices), 2), np.nan) if piece.uvs is None else piece.uvs)
         if corners_of:
             uvs[-1] = uvs[-1] + corners_of[piece.material]

@@ -82,15 +82,6 @@ def _refuse_irregular(found: os.stat_result, path: Path) -> None:
         raise OSError(errno.EINVAL, "it is no regular file", str(path))
 
 
-def read_regular(path: Path, most: int) -> bytes:
-    """Contents of a regular file of up to so many bytes, links followed; else an `OSError`."""
-    with os.fdopen(open_regular(path), "rb") as file:
-        content = file.read(most + 1)
-    if len(content) > most:
-        raise OSError(errno.EFBIG, f"it is larger than {most} bytes", str(path))
-    return content
-
-
 MAX_POSES_BYTES = 1 << 28  # of a file of poses; those of thousands of photographs have a tenth
 
 
@@ -102,3 +93,9 @@ def regular(path: Path, most: int = MAX_POSES_BYTES) -> Iterator[BinaryIO]:
         if size > most:
             raise OSError(f"{path.name} has {size} bytes; at most {most} are read")
         yield file
+
+
+def read_regular(path: Path, most: int) -> bytes:
+    """Contents of a regular file of up to so many bytes, links followed; else an `OSError`."""
+    with regular(path, most) as file:
+        return file.read(most)

@@ -15,8 +15,11 @@ from scipy.spatial.transform import Rotation
 from robir.capture.capture import Bounds, Finding
 from robir.errors import CaptureError
 from robir.geometry.config import GeometryConfig
+from robir.geometry.given.placing import better_place
 from robir.geometry.given.surface import Handed, hand_in
+from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import LIGHT, mesh_for_light
+from robir.maths.similarity import AS_IT_IS
 
 
 class Quiet:
@@ -141,6 +144,25 @@ def test_size_takes_nothing_from_finding_the_place(capture, tmp_path, size):
     handed = hand(capture, solid, tmp_path, fit_mesh=True)
     apart = handed.mesh.vertices[handed.mesh.faces] - statue().triangles
     assert np.linalg.norm(apart, axis=-1).max() < 0.02
+
+
+@pytest.mark.slow
+def test_a_soup_costs_few_rays_before_it_is_refused(thorough, capture):
+    """Each meets the boxes of many triangles: 30,000 large ones took half a minute."""
+    rays = []
+
+    class Counted(EmbreeTracer):
+        def is_blocked(self, origins, directions, reach=None):
+            rays.append(len(origins))
+            return super().is_blocked(origins, directions, reach)
+
+    generator = np.random.default_rng(0)
+    triangles = generator.normal(size=(500, 1, 3)) + generator.normal(size=(500, 3, 3))
+    corners = triangles.reshape(-1, 3) / np.linalg.norm(triangles, axis=2).max()
+    soup = Counted(corners.astype(np.float32), np.arange(1500, dtype=np.int32).reshape(-1, 3))
+    _, then = better_place(corners, soup, capture.normalised().train, AS_IT_IS)
+    assert then.share < 0.75
+    assert sum(rays) < 2e7
 
 
 def without_a_part(solid: trimesh.Trimesh) -> trimesh.Trimesh:

@@ -28,16 +28,17 @@ from robir.capture.images.linear import is_floating_tiff, read_linear
 from robir.capture.images.opencv import cv2
 from robir.capture.images.pixels import code_points
 from robir.capture.refusal import CaptureRefusedError, refuse
-from robir.jobs.names import regular
+from robir.jobs.names import read_regular, regular
 
 # the cure for a missing optional package, in one place
 INSTALL_PHOTOS = "Install what reads it with: pip install 'robir[photos]'"
 MAX_PIXELS = 100_000_000  # largest photograph: decoding takes up to sixteen bytes a pixel
-MAX_SIDE = 65_535  # of a JPEG; other formats allow pictures that are a billion wide and one high
+_MAX_SIDE = 65_535  # of a JPEG; other formats allow pictures that are a billion wide and one high
 MAX_FILE_BYTES = 1 << 30  # largest file of a photograph
-MAX_DECODED = 2_000_000_000  # pixels that a JPEG's scans, each over all of them, may go over
+_MAX_DECODED = 2_000_000_000  # pixels that a JPEG's scans, each over all of them, may go over
 MAX_EXIF_BYTES = 1 << 20  # largest EXIF data that is looked at; JPEG can have a sixteenth of it
 DEVELOPED = "developed"  # in a picture's `info`: developed here, without a tone curve
+_WHOLE = "whole"  # in a picture's `info`: its size before `reduce`
 _FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "WEBP")
 SCAN = b"\xff\xda"
 
@@ -61,9 +62,9 @@ def opened(path: Path) -> Iterator[Image.Image]:
 
 def load(picture: Image.Image, path: Path) -> None:
     """Decode the pixels of an open picture."""
-    whole = stored_size(path) if picture.format in ("JPEG", "MPO") else None
-    if whole is not None:
-        _check_scans(path, whole[0] * whole[1])
+    if picture.format in ("JPEG", "MPO"):
+        scans = read_regular(path, MAX_FILE_BYTES).count(SCAN)
+        _refuse_large(path, picture.info[_WHOLE], scans)
     try:
         picture.load()
     except _DAMAGE as fault:
@@ -76,8 +77,8 @@ def deep_codes(picture: Image.Image, path: Path) -> NDArray[np.uint16] | None:
     is_deep = picture.mode in ("RGB", "RGBA") and any(";16" in str(tile[3]) for tile in tiles)
     if not is_deep or (picture.format == "TIFF" and orientation(picture) != 1):
         return None
-    with regular(path, MAX_FILE_BYTES) as file:
-        codes = cv2.imdecode(np.frombuffer(file.read(), np.uint8), cv2.IMREAD_UNCHANGED)
+    content = np.frombuffer(read_regular(path, MAX_FILE_BYTES), np.uint8)
+    codes = cv2.imdecode(content, cv2.IMREAD_UNCHANGED)
     if codes is None or codes.dtype != np.uint16 or codes.ndim != 3:
         return None
     return codes[:, :, [2, 1, 0, 3][: codes.shape[2]]] if codes.shape[2] in (3, 4) else None
@@ -133,7 +134,8 @@ def header(path: Path) -> Iterator[Image.Image]:
                 picture = Image.open(file, formats=formats)
                 if picture.format == "PNG":
                     picture.info |= code_points(file)
-            _check_size(path, *picture.size)
+            picture.info[_WHOLE] = picture.size
+            _refuse_large(path, picture.size)
         except FileNotFoundError:
             message = f"{path} does not exist"
             raise refuse("missing-images", message, "Put it there.", path.name) from None
@@ -149,20 +151,20 @@ def header(path: Path) -> Iterator[Image.Image]:
         yield stack.enter_context(picture)
 
 
-def _check_size(path: Path, width: int, height: int) -> None:
-    if width * height > MAX_PIXELS or max(width, height) > MAX_SIDE:
-        message = f"{path} is {width}x{height} pixels; photographs of up to "
-        message += f"{MAX_PIXELS // 1_000_000} megapixels are read"
-        raise refuse("too-large", message, "Save it smaller.", path.name)
+def excess(size: tuple[int, int], scans: int = 1) -> str | None:
+    """What is too much of a picture, whose JPEG goes over its pixels `scans` times, or None."""
+    pixels = size[0] * size[1]
+    if pixels > MAX_PIXELS or max(size) > _MAX_SIDE:
+        most = MAX_PIXELS // 1_000_000
+        return f"is {size[0]}x{size[1]} pixels; pictures of up to {most} megapixels are read"
+    if scans > 1 and scans * pixels > _MAX_DECODED:
+        return f"stores its picture in {scans} passes, which takes too long to decode"
+    return None
 
 
-def _check_scans(path: Path, pixels: int) -> None:
-    """Refuse a JPEG that goes over its pixels again and again, as no camera's does."""
-    with regular(path, MAX_FILE_BYTES) as file:
-        scans = file.read().count(SCAN)
-    if scans > 1 and scans * pixels > MAX_DECODED:
-        message = f"{path} stores its picture in {scans} passes, which takes too long to decode"
-        raise refuse("too-large", message, "Save it again.", path.name)
+def _refuse_large(path: Path, size: tuple[int, int], scans: int = 1) -> None:
+    if fault := excess(size, scans):
+        raise refuse("too-large", f"{path} {fault}", "Save it smaller.", path.name)
 
 
 def exif_values(picture: Image.Image) -> dict[int, object] | None:
@@ -215,7 +217,7 @@ def _developed(path: Path, file: BinaryIO) -> Image.Image:
         raise refuse("missing-reader", message, cure, path.name) from None
     try:
         with rawpy.imread(file) as raw:
-            _check_size(path, raw.sizes.raw_width // 2, raw.sizes.raw_height // 2)
+            _refuse_large(path, (raw.sizes.raw_width // 2, raw.sizes.raw_height // 2))
             how: Any = {"half_size": True, "use_camera_wb": True, "no_auto_bright": True}
             pixels = raw.postprocess(**how, output_bps=8, gamma=(2.4, 12.92))
     except (rawpy.LibRawError, OSError) as fault:  # type: ignore[attr-defined]

@@ -23,7 +23,7 @@ from robir.capture.frames import MAX_NUMBER, Array, Distortion, FrameSet, Lens, 
 from robir.capture.readers.files import IMAGE_FOLDERS, Side, checked, children
 from robir.capture.readers.shots import Shot, frame_set, opencv_view, turned_by
 from robir.capture.refusal import CaptureRefusedError, note, refuse
-from robir.jobs.names import regular
+from robir.jobs.names import read_regular, regular
 
 # camera models by number: name, count of parameters (src/colmap/sensor/models.h of COLMAP)
 _MODELS = (
@@ -124,7 +124,7 @@ def _binary_cameras(path: Path) -> Iterator[tuple[int, Lens]]:
 
 
 def _binary_images(path: Path) -> Iterator[tuple[str, int, Array]]:
-    content = _bytes(path)
+    content = read_regular(path, _MAX_BYTES)
     (count,) = struct.unpack_from("<Q", content, 0)
     at = 8
     for _ in range(count):
@@ -174,11 +174,6 @@ def _lines(path: Path) -> Iterator[str]:
                 yield line.decode("utf-8").strip()
 
 
-def _bytes(path: Path) -> bytes:
-    with regular(path, _MAX_BYTES) as file:
-        return file.read()
-
-
 def _read_points(path: Path) -> Array:
     """Sparse points, (N, 3); none if the file is missing or damaged, for they only help."""
     points = []
@@ -187,7 +182,7 @@ def _read_points(path: Path) -> Array:
             lines = (line for line in _lines(path) if line)
             points = [list(map(float, line.split()[1:4])) for line in islice(lines, _MAX_POINTS)]
         else:
-            content = _bytes(path)
+            content = read_regular(path, _MAX_BYTES)
             (count,) = struct.unpack_from("<Q", content, 0)
             at = 8
             for _ in range(min(count, _MAX_POINTS)):

@@ -30,7 +30,8 @@ Array = NDArray[np.float64]
 
 
 _VIEWS = 12  # photographs that are looked at
-COARSE_SIDE = 28  # pixels along a photograph's longer side that are looked at to search
+_SCAN_SIDE = 14  # pixels along a photograph's longer side that are looked at to rank turns
+COARSE_SIDE = 28  # the same to search
 FINE_SIDE = 80  # the same to judge (pixels)
 _PAD = 0.5  # of a photograph's sides: how far beyond its cut the mesh is looked for as well
 _TURNS = 500  # turns of all kinds that are tried; 500 are about 25 degrees from each other
@@ -45,6 +46,7 @@ _COARSE_TOLERANCE, _FINE_TOLERANCE = 2e-3, 3e-4
 # share of outline and mask that both have from which a mesh stands nearly right, and what is off
 # is followed from there
 _NEARLY = 0.5
+_LIKELY = 0.7  # share from which a place is looked at closely: a little less than is proposed
 FITS = 0.9  # share from which it stands right; of its own masks a mesh of ours has 0.97
 BETTER = 0.05  # by how much more of that another place has to have to be believed
 _UNRELATED = 0.5  # below which a mesh shows something else
@@ -162,11 +164,12 @@ def better_place(
     It mirrors only where nothing else fits. The mesh's bounding sphere is the unit sphere; `here`
     brings it to where it is, None where that tells nothing.
     """
-    coarse = Outlines(views, COARSE_SIDE)
-    fine = Outlines(views, FINE_SIDE)
+    scan, coarse, fine = (Outlines(views, side) for side in (_SCAN_SIDE, COARSE_SIDE, FINE_SIDE))
 
-    def finished(start: Similarity) -> tuple[Similarity, Agreement]:
-        place, _ = _downhill(start, tracer, fine, _FINE_TOLERANCE)
+    def finished(start: Similarity, least: float) -> tuple[Similarity, Agreement]:
+        place, share = _downhill(start, tracer, coarse, _COARSE_TOLERANCE)
+        if share > least:
+            place, _ = _downhill(place, tracer, fine, _FINE_TOLERANCE)
         return place, fine.of(tracer, place)
 
     centre, radius = enclosing_sphere(vertices)
@@ -174,7 +177,7 @@ def better_place(
     best = fine.of(tracer, found)
     if here and best.share > _NEARLY:
         # what is off by a little is not searched for far away
-        found, best = finished(found)
+        found, best = finished(found, _LIKELY)
     for handed in (1.0, -1.0):
         if best.share >= FITS:
             break
@@ -184,14 +187,14 @@ def better_place(
             for scale in [1 / (MARGIN * radius)]
         ]
         for _ in range(0 if here else _BALANCES):
-            tried = [coarse.balanced(tracer, place) for place in tried]
-        shares = np.array([coarse.of(tracer, place).share for place in tried])
+            tried = [scan.balanced(tracer, place) for place in tried]
+        shares = np.array([scan.of(tracer, place).share for place in tried])
         first = np.argsort(-shares)[:_FOLLOWED]
-        followed = [_downhill(tried[k], tracer, coarse, _COARSE_TOLERANCE) for k in first]
+        followed = [_downhill(tried[k], tracer, scan, _COARSE_TOLERANCE) for k in first]
         start, share = max(followed, key=lambda pair: pair[1])
         if share <= best.share:  # finishing adds less than what is asked for
             continue
-        place, agreement = finished(start)
+        place, agreement = finished(start, max(_LIKELY, best.share))
         if agreement.share > best.share + BETTER:
             found, best = place, agreement
     return found, best
@@ -212,6 +215,7 @@ def _downhill(
         )
 
     steps = np.diag([_FIRST_TURN] * 3 + [_FIRST_SCALE] + [_FIRST_SHIFT] * 3)
+    steps *= tolerance / _COARSE_TOLERANCE  # what was followed before is near
     simplex = np.concatenate([np.zeros((1, 7)), steps])
     limits = {"maxfev": _EVALUATIONS, "xatol": tolerance, "fatol": tolerance}
     found = minimize(
