@@ -185,14 +185,15 @@ def kept(
     silhouettes: Sequence[Silhouette], cells: Array, half: float, dissent: int
 ) -> NDArray[np.bool_]:
     """Which cells at most `dissent` masks call background and a quarter of the views see."""
-    alive = np.arange(len(cells))
+    alive, points = np.arange(len(cells)), cells
     against = np.zeros(len(cells), dtype=np.int32)
     seen = np.zeros(len(cells), dtype=np.int32)
     for silhouette in silhouettes:
-        known, beyond = _verdict(silhouette, cells[alive], np.sqrt(3.0) * half)
+        known, beyond = _verdict(silhouette, points, np.sqrt(3.0) * half)
         seen[alive] += known
         against[alive] += known & beyond
-        alive = alive[against[alive] <= dissent]
+        stays = against[alive] <= dissent
+        alive, points = alive[stays], points[stays]
     # Cells that few views see may have proportionally few masks against them.
     fair = against[alive] * len(silhouettes) <= dissent * seen[alive]
     result = np.zeros(len(cells), dtype=bool)
@@ -208,12 +209,13 @@ def _verdict(
     pixels, depth = camera.project(points)
     row, column = _indices(camera, pixels)
     x, y = pixels.T
-    over = np.stack([-x, x - camera.width, -y, y - camera.height])
-    outside = over.max(axis=0) > 0
-    is_open = np.array(silhouette.is_open)
-    known = np.where(depth > 0, ~(over[is_open] > 0).any(axis=0), not is_open.any())
-    distance = silhouette.distance[row, column]
-    distance = np.where(outside, np.maximum(distance, over.max(axis=0)), distance)
+    over = (-x, x - camera.width, -y, y - camera.height)  # pixels beyond each border
+    known = np.full(len(points), True)
+    for beyond, is_open in zip(over, silhouette.is_open, strict=True):
+        if is_open:
+            known &= (beyond <= 0) & (depth > 0)
+    farthest = np.maximum(np.maximum(over[0], over[1]), np.maximum(over[2], over[3]))
+    distance = np.fmax(silhouette.distance[row, column], farthest)
     slack = reach * max(camera.fx, camera.fy) / np.maximum(depth, 1e-12)
     return known, (depth <= 0) | (distance > np.maximum(slack, 0.75))
 
