@@ -3,7 +3,8 @@
 
 `ROBIR_TUTORIAL=1 bash .ci/window -k tutorial` does it, which takes minutes: words and pictures come
 to build/window/tutorial, and are copied from there to docs. `test_click_path.py` and
-`test_by_hand.py` press the same buttons in every run.
+`test_by_hand.py` press the same buttons in every run, but for *Picture All Lights*, which
+`tests/addon/test_film_and_report.py` calls.
 """
 
 from __future__ import annotations
