@@ -49,7 +49,6 @@ METHODS: dict[str, tuple[str, ...]] = {
     "no visibility": ("transport.use_visibility=false",),
     "no indirect light": ("transport.use_indirect=false",),
     "srgb": ('appearance.families=["standard"]',),
-    "log": ('appearance.families=["log"]',),
     "no far pairs": ('constants=["appearance.light.solver._FAR=0.0"]',),
     "one sharp lobe": ("appearance.num_sharp_lobes=1",),
     "hull geometry": ("geometry.level_cells=[64]", "geometry.level_steps=[1]"),

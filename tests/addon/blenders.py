@@ -21,7 +21,7 @@ from typing import Any
 
 ROOT = Path(__file__).parents[2]
 MODULE = "bl_ext.user_default.robir"
-VERSIONS = ("4.2", "4.5", "5.0", "5.2")
+VERSIONS = ("4.2", "4.5", "5.2")
 
 _DRIVER = """
 import json, sys

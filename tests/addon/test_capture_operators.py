@@ -97,7 +97,7 @@ def check_faults(answer, bad, missing):
     assert answer["told"]["error"] == answer["told"]["task"] == ""
 
 
-def test_a_capture_is_looked_at_and_put_away(blender, session, capture, shots, tmp_path):
+def test_a_capture_is_looked_at_and_put_away(newest, session, capture, shots, tmp_path):
     bad, missing = nerfstudio(tmp_path / "bad", shots[:6]), tmp_path / "missing"
     shutil.rmtree(bad / "mattes")
     generator = np.random.default_rng(0)
@@ -108,7 +108,7 @@ def test_a_capture_is_looked_at_and_put_away(blender, session, capture, shots, t
     for frame in plain["frames"]:
         del frame["mask_path"]
     (bad / "transforms.json").write_text(json.dumps(plain))
-    answer = session(blender, "look", capture, bad, missing)
+    answer = session(newest, "look", capture, bad, missing)
     check_look(answer, capture, shots)
     check_faults(answer, bad, missing)
 

@@ -46,7 +46,7 @@ def main(archive, result, out):
 """
 
 
-def test_few_views_are_tinted_until_the_next_press(blender, extension_zip, result, tmp_path):
+def test_few_views_are_tinted_until_the_next_press(newest, extension_zip, result, tmp_path):
     file = result.textures / "coverage.png"
     with Image.open(file) as picture:
         codes = np.zeros_like(np.array(picture))
@@ -55,7 +55,7 @@ def test_few_views_are_tinted_until_the_next_press(blender, extension_zip, resul
     codes[2 * third :] = 255
     Image.fromarray(codes).save(file)
     words = str(extension_zip), str(result.root), str(tmp_path)
-    answer = run(blender, COMMON + SESSION, *words, user=tmp_path / "user")
+    answer = run(newest, COMMON + SESSION, *words, user=tmp_path / "user")
     count = len(answer["before"]["objects"])
     assert answer["shown"] == [["FINISHED"], count + 1]
     assert answer["hidden"] == answer["refreshed"] == [["FINISHED"], count]

@@ -208,16 +208,14 @@ def main(archive, result, shape, out):
 """
 
 
-def test_the_users_own_object_shows_every_tile_in_its_place(
-    blender, extension_zip, tiled, tmp_path
-):
+def test_the_users_own_object_shows_every_tile_in_its_place(newest, extension_zip, tiled, tmp_path):
     mesh = sphere_run.world_mesh()
     shape = tmp_path / "shape.npz"
     np.savez(shape, corners=mesh.vertices[mesh.faces], uvs=own_uvs())
     out = tmp_path / "out"
     out.mkdir()
     answer = run(
-        blender, COMMON + DELIGHT, str(extension_zip), str(tiled.root), str(shape), str(out),
+        newest, COMMON + DELIGHT, str(extension_zip), str(tiled.root), str(shape), str(out),
         user=tmp_path / "user",
     )  # fmt: skip
     assert answer["objects"] == ["Own"]

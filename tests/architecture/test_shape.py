@@ -19,7 +19,7 @@ ROOT = Path(__file__).parents[2]
 SHIPPED = ("core", "robir_addon", "blender_scenes")
 MAX_FILE_LINES = 400
 MAX_FUNCTION_LINES = 60
-MOST_SETTINGS = 46  # As many as there are: this number only falls. What nobody turns is a constant.
+MOST_SETTINGS = 44  # As many as there are: this number only falls. What nobody turns is a constant.
 
 SOURCES = [ROOT / "build_addon.py"]
 SOURCES += [path for folder in SHIPPED for path in sorted((ROOT / folder).rglob("*.py"))]

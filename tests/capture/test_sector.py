@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from transport.shapes import looking_at
 
+from robir.capture import views
 from robir.capture.config import CaptureConfig
 from robir.capture.frames import Frame, Lens
 from robir.capture.views import splits
@@ -46,8 +47,9 @@ def test_no_photograph_of_the_sector_takes_part(centre):
     assert len(train) == 19 and not set(train) & set(held_out)
 
 
-def test_what_is_too_many_to_judge_takes_no_part_either():
-    found = splits(ring(), CaptureConfig(held_out_sector=122.0, max_held_out=3))
+def test_what_is_too_many_to_judge_takes_no_part_either(monkeypatch):
+    monkeypatch.setattr(views, "_MAX_HELD_OUT", 3)
+    found = splits(ring(), CaptureConfig(held_out_sector=122.0))
     kinds = [split for _, split in found]
     assert kinds.count("held_out") == 3
     assert kinds.count("train") == 24 - 9

@@ -80,15 +80,7 @@ class Range:
         stage = next((s for s in STAGES if not JobPaths(out).manifest(s).exists()), "the end")
         if again:
             self._killed(name, again, is_group)
-        return self._gone_on(name, seconds, stage)
-
-    def unmarked(self, stage: str) -> Kill:
-        """As a kill after a stage's last file and before the mark that it is done."""
-        JobPaths(self.whole).manifest(stage).unlink()
-        return self._gone_on("whole", self.seconds, stage)
-
-    def _gone_on(self, name: str, seconds: float, stage: str) -> Kill:
-        code, out = self._run(name), self._out(name)
+        code = self._run(name)
         found = contents(out)
         names = sorted(found.keys() | self.expected.keys())
         differing = tuple(n for n in names if found.get(n) != self.expected.get(n))

@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Short shares of what `make hostile` does for hours, on a real run of all stages."""
+"""Short shares of what `make hostile` does for hours, on a real run of all stages.
+
+`tests/batch/test_real.py` kills workers and fills a disk, `tests/pipeline/test_workers.py` takes
+the mark of a stage away.
+"""
 
 from __future__ import annotations
 
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -22,14 +25,14 @@ ROOT = Path(__file__).parents[2]
 FORKS = pytest.mark.skipif(not hasattr(os, "fork"), reason="takes fork")
 
 
-def run(*words: str, lines: int = 1) -> str:
-    """The last lines that a harness prints; it has to end well."""
+def run(*words: str) -> str:
+    """The last line that a harness prints; it has to end well."""
     command = [sys.executable, "-m", *words]
     search = os.pathsep.join(map(str, (ROOT / "core", ROOT, ROOT / "tests")))
     environment = os.environ | {"PYTHONPATH": search, "OMP_NUM_THREADS": "1"}
     done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
     assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
-    return "\n".join(done.stdout.splitlines()[-lines:])
+    return done.stdout.splitlines()[-1]
 
 
 @FORKS
@@ -42,40 +45,6 @@ def test_mutated_captures_keep_the_promises():
 @pytest.mark.slow
 def test_forged_results_keep_the_promises():
     assert " 0 broke a promise" in run("hostile.forged", "0", "4")
-
-
-@FORKS
-@pytest.mark.slow
-def test_kills_leave_the_same_files(tmp_path):
-    """Without Blender; in the midst of the fit, again while it goes on, and in the export.
-
-    `tests/batch/test_real.py` kills workers alone and with all that they started.
-    """
-    program = f"""
-from pathlib import Path
-from hostile.kills import Range
-shots = Range(Path({str(tmp_path / "kills")!r}), has_renders=False)
-kills = [shots.kill("early", 0.3 * shots.seconds, is_group=True, again=0.2 * shots.seconds)]
-kills.append(shots.unmarked("export"))
-print([(kill.code == shots.code, kill.differing) for kill in kills], len(shots.expected))
-"""
-    found = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=False,
-        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "OMP_NUM_THREADS": "1"},
-    )  # fmt: skip
-    assert found.stdout.startswith("[(True, ()), (True, ())] "), found.stdout + found.stderr
-    assert int(found.stdout.split()[-1]) > 40
-
-
-@FORKS
-@pytest.mark.slow
-@pytest.mark.skipif(
-    sys.platform != "linux" or not shutil.which("cc"), reason="takes Linux and a C compiler"
-)
-def test_faults_of_the_disk_are_told_and_overcome():
-    """One that takes no root; `make hostile` has all, and `tests/pipeline` tells of most."""
-    said = run("hostile.disk", "write:1", lines=20)
-    assert "1 of 1 faults" in said, said
 
 
 def test_growth_is_between_the_second_and_the_last_quarter():

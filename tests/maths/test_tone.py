@@ -206,24 +206,6 @@ def test_cube_file_is_read_by_opencolorio(curve, tmp_path):
         assert error.mean() < 0.003
 
 
-def test_log_is_the_sigmoid_of_log_radiance_and_inverts():
-    curve = tone.curve_from_name("log")
-    assert curve.name not in {candidate.name for candidate in tone.families()}
-    linear = torch.logspace(-4, 1.2, 200, dtype=torch.float64)[:, None].expand(-1, 3)
-    middle = 0.18 * (1 / 0.46135 - 1)
-    expected = torch.sigmoid(linear.log() - np.log(middle))
-    display = curve.display_from_linear(linear)
-    torch.testing.assert_close(display, expected)
-    torch.testing.assert_close(curve.linear_from_display(display), linear)
-    # mid-grey keeps its sRGB code, and white means "at least this bright"
-    grey = torch.full((3,), 0.18, dtype=torch.float64)
-    torch.testing.assert_close(
-        curve.display_from_linear(grey), tone.srgb_from_linear(grey), atol=1e-5, rtol=0
-    )
-    white = curve.linear_from_display(torch.ones(3, dtype=torch.float64))
-    torch.testing.assert_close(white, torch.full_like(white, tone.MAX_LINEAR))
-
-
 def test_a_cameras_response_is_the_one_that_scenes_are_photographed_by():
     """Two programs from one publication; that of the scenes is held against its printed values."""
     light = np.linspace(0.0, 1.2, 500)

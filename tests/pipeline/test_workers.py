@@ -10,6 +10,7 @@ import pytest
 from hostile.tiny_run import contents, words
 
 from robir import cli, workers
+from robir.jobs.paths import JobPaths
 from robir.specimen import write_specimen
 from robir.workers import available_cores, blocks, meanwhile, side_by_side, use_workers
 
@@ -103,18 +104,22 @@ def test_who_starts_several_runs_shares_the_cores_out(monkeypatch) -> None:
 
 
 @pytest.mark.slow
-def test_the_number_of_threads_changes_no_bit_of_a_result(tmp_path) -> None:
-    """Also where a run is begun on five cores and goes on with two."""
+def test_neither_threads_nor_a_lost_mark_change_a_bit_of_a_result(tmp_path) -> None:
+    """Begun on five cores and gone on with on two; killed before a stage was marked as done."""
     capture = tmp_path / "capture"
     write_specimen(capture)
     found = []
-    for first, then in ((1, 1), (5, 2)):
+    for first, then in ((5, 2), (1, 1)):
         out = tmp_path / str(first)
         command = [*words(capture, out, has_renders=False), "--threads"]
         if then != first:
             cli.main([*command, str(first), "--until", "transport"])
         cli.main([*command, str(then)])
         found.append(contents(out))
-        del found[-1]["run.json"]  # says how many threads there were
+    JobPaths(out).manifest("export").unlink()
+    cli.main([*command, "1"])
+    assert contents(out) == found[1]
+    for files in found:
+        del files["run.json"]  # says how many threads there were
     assert found[0] == found[1]
     assert len(found[0]) > 40

@@ -170,15 +170,15 @@ class BlenderWindow:
             Where it lies; the sidebar is scrolled until it is seen.
         """
         left, top, right, bottom = self.sidebar()
+        columns = [left + int(share * (right - left)) for share in COLUMNS]
+        near = self._found.get(wanted, Place(columns[0], top))
+        ys = sorted(range(top + STEP, bottom - 2, STEP), key=lambda y: abs(y - near.y))
         seen: set[str] = set()
         for notches in (0, -SCROLL, SCROLL // 2, SCROLL // 2):
             if notches:
                 self.screen.scroll(left + 40, (top + bottom) // 2, notches=notches)
-            for share in COLUMNS:
-                x = left + int(share * (right - left))
-                near = self._found.get(wanted, Place(x, top)).y
-                ys = range(top + STEP, bottom - 2, STEP)
-                for y in sorted(ys, key=lambda y: abs(y - near)):
+            for x in sorted(columns, key=lambda x: x != near.x):
+                for y in ys:
                     name = self._under(Place(x, y))
                     if name.startswith(wanted) or name.endswith(wanted):
                         self._found[wanted] = Place(x, y)

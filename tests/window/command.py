@@ -17,14 +17,15 @@ SETTINGS = (
     "transport.num_surfels=8000",
     "transport.num_directions=256",
     "appearance.texture_size=256",
+    'appearance.families=["standard", "filmic"]',
     "export.render_views=1",
     "export.render_samples=8",
     "export.render_max_side=64",
 )
 
 
-# the same for what comes after the shape, at whose fit somebody may look for a minute
-AFTER_THE_SHAPE = tuple(setting for setting in SETTINGS if not setting.startswith("geometry."))
+# the same with a fit that somebody may look at for some seconds
+WATCHED = (*SETTINGS, "geometry.level_steps=[100, 300]")
 
 
 def small_engine(folder: Path, settings: tuple[str, ...] = SETTINGS) -> Path:

@@ -15,8 +15,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from window.blender_window import BlenderWindow
-from window.command import AFTER_THE_SHAPE, small_engine
+from window.blender_window import PATIENCE, BlenderWindow
+from window.command import WATCHED, small_engine
 from window.conftest import BUILD, opened
 from window.redraws import Redraws
 from window.screen import Screen
@@ -75,7 +75,7 @@ def test_one_reconstructs_it_in_three_clicks_more(window: BlenderWindow, tmp_pat
     assert window.get(OBJECT) is None
     window.picture("sample_without_engine")
     window.find("bpy.ops.robir.install_engine")  # where the next click goes; it says how large
-    window.choose_engine(small_engine(tmp_path, AFTER_THE_SHAPE))
+    window.choose_engine(small_engine(tmp_path, WATCHED))
     window.run("bpy.ops.robir.look_at_capture('INVOKE_DEFAULT')")  # as the installation's end does
     window.wait_until(f"{STATE}.recognised and not {STATE}.task", 120.0)
     window.find("bpy.ops.robir.reconstruct")
@@ -208,7 +208,6 @@ def test_pictures_beside_each_other(window: BlenderWindow) -> None:
 
 
 def test_the_view_transform_is_matched_when_asked_for(window: BlenderWindow, out: Path) -> None:
-    """At this size of the pictures Filmic and a camera's response fit alike."""
     curve = json.loads((out / "export" / "tone_curve.json").read_text())
     wanted = curve["blender_view_transform"] or "Standard"
     assert window.get("bpy.context.scene.view_settings.view_transform") == "AgX" != wanted
@@ -250,6 +249,25 @@ def test_blender_has_nothing_to_complain_about(window: BlenderWindow) -> None:
     assert complaints == []
     heavy = window.get("[name for name in ('torch', 'robir.geometry') if name in sys.modules]")
     assert heavy == []
+
+
+def test_it_is_drawn_in_the_other_theme_and_twice_as_large(window: BlenderWindow) -> None:
+    """The picture is for people; that the texts are read as written is what is checked."""
+    window.run(
+        "import os\n"
+        "folders = bpy.utils.preset_paths('interface_theme')\n"
+        "files = (os.path.join(folder, 'Blender_Light.xml') for folder in folders)\n"
+        "bpy.ops.script.execute_preset(\n"
+        "    filepath=next(file for file in files if os.path.isfile(file)),\n"
+        "    menu_idname='USERPREF_MT_interface_theme_presets')\n"
+        "bpy.context.preferences.view.ui_scale = 2.0",
+        timeout=PATIENCE,
+    )
+    window.settle()
+    window.picture("light_theme_2x")
+    assert window.get("bpy.context.preferences.view.ui_scale") == pytest.approx(2.0)
+    complaints = [line for line in window.log().splitlines() if "Traceback" in line]
+    assert complaints == []
 
 
 def show_plainly(window: BlenderWindow) -> None:

@@ -11,9 +11,6 @@ from robir.errors import ConfigError
 FAMILIES = ("standard", "camera", "filmic", "khronos_pbr_neutral", "agx", "robir_aces")
 """Candidates, simplest first."""
 
-KNOWN_FAMILIES = (*FAMILIES, "log")
-"""All that may be asked for; the last, a sigmoid, serves comparisons only."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AppearanceConfig:
@@ -56,11 +53,11 @@ class AppearanceConfig:
 
     def __post_init__(self) -> None:
         """Refuse unknown families and sizes that cannot work."""
-        unknown = sorted(set(self.families) - set(KNOWN_FAMILIES))
+        unknown = sorted(set(self.families) - set(FAMILIES))
         if unknown or not self.families:
             raise ConfigError(
                 f"appearance.families is {list(self.families)}; it must name some of "
-                f"{', '.join(KNOWN_FAMILIES)}"
+                f"{', '.join(FAMILIES)}"
             )
         for name, low in (
             ("num_soft_lobes", 4),

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,21 +33,29 @@ _FINEST = 1e-9  # side of a cell, as a share of its distance from the origin, th
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Hull:
-    """The visual hull of the masks."""
-
-    sphere: Bounds  # its bounding sphere with margin
-    agreement: Array  # (V,) share of each mask that the hull covers, 1 where masks and poses agree
-    strict: float  # median of the same if no mask may be wrong: near 1 only for the right poses
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Silhouette:
     """A mask with its camera, as `kept` reads it."""
 
     camera: Camera
     distance: NDArray[np.float32]  # (H, W) pixels to the nearest object pixel, 0 on it
     is_open: tuple[bool, bool, bool, bool]  # cut off at the left, right, upper and lower border
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hull:
+    """The visual hull of the masks, by cells (N, 3) of half a side."""
+
+    agreement: Array  # (V,) share of each mask that the hull covers, 1 where masks and poses agree
+    strict: float  # median of the same if no mask may be wrong: near 1 only for the right poses
+    silhouettes: Sequence[Silhouette]
+    cells: Array
+    half: float
+    dissent: int  # masks that may call a cell background
+
+    @cached_property
+    def sphere(self) -> Bounds:
+        """Its bounding sphere with margin, which costs as much as all else."""
+        return _refined(self.silhouettes, self.cells, self.half, self.dissent)
 
 
 def sphere_from_masks(views: Sequence[View], start: Bounds | None) -> Hull | None:
@@ -70,8 +79,10 @@ def sphere_from_masks(views: Sequence[View], start: Bounds | None) -> Hull | Non
         share = float(np.median(agreement))
         strict = share if dissent == 0 else strict
         if best is None or share > np.median(best.agreement) + 0.02:
-            sphere = _refined(silhouettes, cells, half, dissent)
-            best = Hull(sphere=sphere, agreement=agreement, strict=strict)
+            best = Hull(
+                agreement=agreement, strict=strict, silhouettes=silhouettes, cells=cells, half=half,
+                dissent=dissent,
+            )  # fmt: skip
         if share >= _AGREEMENT:
             break
     return best
@@ -185,14 +196,15 @@ def kept(
     silhouettes: Sequence[Silhouette], cells: Array, half: float, dissent: int
 ) -> NDArray[np.bool_]:
     """Which cells at most `dissent` masks call background and a quarter of the views see."""
-    alive = np.arange(len(cells))
+    alive, points = np.arange(len(cells)), cells
     against = np.zeros(len(cells), dtype=np.int32)
     seen = np.zeros(len(cells), dtype=np.int32)
     for silhouette in silhouettes:
-        known, beyond = _verdict(silhouette, cells[alive], np.sqrt(3.0) * half)
+        known, beyond = _verdict(silhouette, points, np.sqrt(3.0) * half)
         seen[alive] += known
         against[alive] += known & beyond
-        alive = alive[against[alive] <= dissent]
+        stays = against[alive] <= dissent
+        alive, points = alive[stays], points[stays]
     # Cells that few views see may have proportionally few masks against them.
     fair = against[alive] * len(silhouettes) <= dissent * seen[alive]
     result = np.zeros(len(cells), dtype=bool)
@@ -208,12 +220,13 @@ def _verdict(
     pixels, depth = camera.project(points)
     row, column = _indices(camera, pixels)
     x, y = pixels.T
-    over = np.stack([-x, x - camera.width, -y, y - camera.height])
-    outside = over.max(axis=0) > 0
-    is_open = np.array(silhouette.is_open)
-    known = np.where(depth > 0, ~(over[is_open] > 0).any(axis=0), not is_open.any())
-    distance = silhouette.distance[row, column]
-    distance = np.where(outside, np.maximum(distance, over.max(axis=0)), distance)
+    over = (-x, x - camera.width, -y, y - camera.height)  # pixels beyond each border
+    known = np.full(len(points), True)
+    for beyond, is_open in zip(over, silhouette.is_open, strict=True):
+        if is_open:
+            known &= (beyond <= 0) & (depth > 0)
+    farthest = np.maximum(np.maximum(over[0], over[1]), np.maximum(over[2], over[3]))
+    distance = np.fmax(silhouette.distance[row, column], farthest)
     slack = reach * max(camera.fx, camera.fy) / np.maximum(depth, 1e-12)
     return known, (depth <= 0) | (distance > np.maximum(slack, 0.75))
 

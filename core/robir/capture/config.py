@@ -16,9 +16,6 @@ class CaptureConfig:
     Attributes:
         max_side: Longer side, in pixels, of what is kept of a photograph about the object, at
             least 16; what is larger is averaged down to it, what is smaller stays as it is.
-        held_out_every: Every how many-th view is held out, at least 2; used only if the
-            capture brings no test views of its own.
-        max_held_out: Number of views held out at most, at least 1.
         held_out_sector: Degrees about the object, seen from above, of which no photograph takes
             part: those held out then lie outside what was seen, not between it. 0 for none.
         adjust_cameras: Whether given cameras are moved where points that stand out in the
@@ -33,8 +30,6 @@ class CaptureConfig:
     """
 
     max_side: int = 800
-    held_out_every: int = 8
-    max_held_out: int = 8
     held_out_sector: float = 0.0
     adjust_cameras: bool = True
     outside: Literal["refuse", "take"] = "refuse"
@@ -44,10 +39,8 @@ class CaptureConfig:
 
     def __post_init__(self) -> None:
         """Refuse values that make no sense."""
-        for name, least in (("max_side", 16), ("held_out_every", 2), ("max_held_out", 1)):
-            value = getattr(self, name)
-            if value < least:
-                raise ConfigError(f"capture.{name} is {value}; it must be at least {least}")
+        if self.max_side < 16:
+            raise ConfigError(f"capture.max_side is {self.max_side}; it must be at least 16")
         if not 0 <= self.held_out_sector <= 180:
             raise ConfigError(
                 f"capture.held_out_sector is {self.held_out_sector}; it must be 0 to 180 degrees"

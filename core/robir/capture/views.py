@@ -27,6 +27,9 @@ HARMLESS_PIXELS = 16_000_000  # decoded in a second, whatever the others have
 MAX_RATIO = 16  # times the pixels of a capture's usual photograph that one may have
 Array = NDArray[np.float64]
 
+_HELD_OUT_EVERY = 8  # of how many photographs one is held out, where a capture brings no test views
+_MAX_HELD_OUT = 8
+
 _TOGETHER = 8  # photographs between two reports of progress
 _AT_ONCE = 4  # of these, read at a time: each takes ten times its pixels' bytes and more
 
@@ -76,23 +79,20 @@ def without_left_out(frames: FrameSet, config: CaptureConfig) -> FrameSet:
 def splits(frames: Sequence[Frame], config: CaptureConfig) -> list[tuple[Frame, Split]]:
     """Which frames are read, and which only judge.
 
-    Test views of the format are thinned evenly to `max_held_out`; without any, every
-    `held_out_every`-th view is held out, at least one of four. With a `held_out_sector` all
-    training views in that sector judge instead.
+    Test views of the format are thinned evenly; without any, every eighth view is held out, at
+    least one of four. With a `held_out_sector` all training views in that sector judge instead.
     """
     tests = [i for i, frame in enumerate(frames) if frame.split == "test"]
     trains = [i for i, frame in enumerate(frames) if frame.split == "train"]
     if config.held_out_sector:
         inside = _in_sector([frames[i].camera_to_world for i in trains], config.held_out_sector)
         hidden = [i for i, is_inside in zip(trains, inside, strict=True) if is_inside]
-        held_out = _thinned(hidden, config.max_held_out)
+        held_out = _thinned(hidden)
         trains = [i for i in trains if i not in hidden]
     elif tests:
-        held_out = _thinned(tests, config.max_held_out)
+        held_out = _thinned(tests)
     else:
-        held_out = _thinned(
-            trains[config.held_out_every // 2 :: config.held_out_every], config.max_held_out
-        )
+        held_out = _thinned(trains[_HELD_OUT_EVERY // 2 :: _HELD_OUT_EVERY])
         if not held_out and len(trains) >= 4:
             held_out = [trains[len(trains) // 2]]
     kept = sorted({*trains, *held_out})
@@ -114,10 +114,9 @@ def _in_sector(poses: Sequence[Array], width: float) -> NDArray[np.bool_]:
     return np.arccos(cosine.clip(-1, 1)) <= np.radians(width / 2)
 
 
-def _thinned(indices: list[int], most: int) -> list[int]:
-    if len(indices) <= most:
-        return indices
-    return [indices[i] for i in np.linspace(0, len(indices) - 1, most).round().astype(int)]
+def _thinned(indices: list[int]) -> list[int]:
+    count = min(len(indices), _MAX_HELD_OUT)
+    return [indices[i] for i in np.linspace(0, len(indices) - 1, count).round().astype(int)]
 
 
 def load_views(

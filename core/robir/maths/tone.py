@@ -2,8 +2,7 @@
 """Tone curve families, from linear Rec.709 radiance to sRGB display codes and back: the one door.
 
 `families()` lists the candidates, simplest first; `curve_from_name` rebuilds one from what
-tone_curve.json holds, and knows the sigmoid that only comparisons use. See tone_curve.py for the
-conventions all of them share.
+tone_curve.json holds. See tone_curve.py for the conventions all of them share.
 """
 
 from __future__ import annotations
@@ -29,7 +28,6 @@ from robir.maths.tone_formula import (
     AcesToneCurve,
     CameraToneCurve,
     KhronosNeutralToneCurve,
-    LogToneCurve,
     StandardToneCurve,
 )
 from robir.maths.tone_table import AgxToneCurve, FilmicToneCurve, load_tables
@@ -43,7 +41,6 @@ __all__ = [
     "CameraToneCurve",
     "FilmicToneCurve",
     "KhronosNeutralToneCurve",
-    "LogToneCurve",
     "PoweredToneCurve",
     "StandardToneCurve",
     "as_samples",
@@ -82,7 +79,7 @@ def curve_from_name(name: str, parameters: Mapping[str, float] | None = None) ->
     Every family takes `display_power` beside its own, see `PoweredToneCurve`. `ConfigError` if the
     family is unknown or the parameters are not its own.
     """
-    known = {curve.name: curve for curve in (*families(), LogToneCurve())}
+    known = {curve.name: curve for curve in families()}
     if name not in known:
         raise ConfigError(f"tone curve family '{name}' is unknown; known are {', '.join(known)}")
     curve, given = known[name], dict(parameters or {})

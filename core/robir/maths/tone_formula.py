@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tone curves given by formulas: Standard, a camera's, a sigmoid, RobIR's ACES, Khronos Neutral.
+"""Tone curves given by formulas: Standard, a camera's, RobIR's ACES, Khronos Neutral.
 
 The two of Blender repeat Blender 4.5, its table interpolation included, so that a curve found here
 is the view transform to select there.
@@ -91,27 +91,6 @@ class CameraToneCurve(AbstractToneCurve):
         _, b, c, d = self._exponent
         bent = light * (b + light * (2.0 * c + light * 3.0 * d))
         return (self._power(light) + light.log() * bent).clamp_min(0.05)
-
-
-class LogToneCurve(AbstractToneCurve):
-    """Sigmoid of log radiance, per channel: display = x / (x + m); for comparisons only.
-
-    m puts mid-grey, 0.18, at its sRGB code.
-    """
-
-    name = "log"
-    blender_view_transform = None
-    _half = 0.18 * (1.0 / 0.46135 - 1.0)
-
-    def display_from_linear(self, rgb_linear: Tensor) -> Tensor:
-        """See AbstractToneCurve."""
-        light = rgb_linear.clamp_min(0.0)
-        return light / (light + self._half)
-
-    def linear_from_display(self, rgb_display: Tensor) -> Tensor:
-        """See AbstractToneCurve."""
-        code = rgb_display.clamp(0.0, MAX_LINEAR / (MAX_LINEAR + self._half))
-        return self._half * code / (1.0 - code)
 
 
 def aces(light: Tensor) -> Tensor:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -94,13 +95,14 @@ def colours(
     return np.where(hit[:, None], paint, behind), hit
 
 
+@functools.cache
 def photographs(
     count: int,
     has_camouflage: bool = False,
     distortion: Distortion | None = None,
     size: tuple[int, int] = (160, 120),
 ) -> list[Posed]:
-    """Photographs of the scene; with `distortion`, as its lens bends them."""
+    """Photographs of the scene, not to be written to; with `distortion`, as its lens bends them."""
     found = []
     for k, camera in enumerate(cameras(count, size)):
         total, cover = 0.0, 0.0

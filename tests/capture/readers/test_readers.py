@@ -12,6 +12,7 @@ import pytest
 from capture import writers
 from capture.scene import surface_points
 
+from robir.capture import views
 from robir.capture.capture import Capture
 from robir.capture.config import CaptureConfig
 from robir.capture.recognise import read_capture, read_frames
@@ -103,9 +104,10 @@ def test_the_larger_of_two_colmap_models_is_used(odd_shots, tmp_path):
     assert "several-models" in {finding.code for finding in capture.findings}
 
 
-def test_test_views_are_held_out_and_thinned(shots, tmp_path):
+def test_test_views_are_held_out_and_thinned(shots, tmp_path, monkeypatch):
+    monkeypatch.setattr(views, "_MAX_HELD_OUT", 2)
     writers.nerf_synthetic(tmp_path, shots, tests=3)
-    capture = read_capture(tmp_path, None, CaptureConfig(max_held_out=2))
+    capture = read(tmp_path)
     assert [len(capture.train), len(capture.held_out)] == [5, 2]
     assert all(view.name.startswith("test_") for view in capture.held_out)
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import torch
 
-from robir.appearance.config import KNOWN_FAMILIES, AppearanceConfig
+from robir.appearance.config import FAMILIES, AppearanceConfig
 from robir.appearance.light.problem import Scene, make_problem
 from robir.appearance.light.solver import Light
 from robir.appearance.light.sun_search import find_suns
@@ -113,7 +113,7 @@ class ToneChoice:
     @classmethod
     def of(cls, scene: Scene, config: AppearanceConfig, seed: int) -> ToneChoice:
         """Curves that the configuration allows, and what white and colours say of them."""
-        allowed = [curve_from_name(name) for name in KNOWN_FAMILIES if name in config.families]
+        allowed = [curve_from_name(name) for name in FAMILIES if name in config.families]
         observations = scene.transport.observations
         return cls(
             scene=scene,

@@ -17,8 +17,8 @@ from collections.abc import Callable, Iterator, Sequence
 from itertools import takewhile
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
-from xml.etree import ElementTree  # nosec B405
-from xml.etree.ElementTree import Element  # nosec B405
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
 
 import msgspec
 import numpy as np
@@ -149,7 +149,7 @@ def load_xml(path: Path, cure: str) -> Element:
 def _xml(text: str) -> Element:
     if "<!DOCTYPE" in text:  # definitions could make it grow or read files; no export has any
         raise ValueError("it defines a document type")
-    return ElementTree.fromstring(text)  # nosec B314
+    return ElementTree.fromstring(text)  # noqa: S314
 
 
 def load_table(path: Path, cure: str) -> list[list[str]]:

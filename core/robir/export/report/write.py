@@ -65,7 +65,7 @@ def write_report(paths: JobPaths, products: Products) -> dict[str, Any]:
         asset=embedded_asset(products.parts),
         orbit=start_orbit(shown[0].camera, products.mesh),
         lights=embedded_lights(products.light),
-        viewer=Markup(VIEWER_SCRIPT.read_text(encoding="utf-8")),  # nosec B704: our own file
+        viewer=Markup(VIEWER_SCRIPT.read_text(encoding="utf-8")),  # noqa: S704 - our own file
         files=_files(paths),
         allowed=_ALLOWED,
     )

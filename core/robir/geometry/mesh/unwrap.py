@@ -29,6 +29,8 @@ def _in_child(mesh: Mesh, seconds: float) -> tuple[NDArray[np.float32], NDArray[
     with tempfile.TemporaryDirectory(prefix="robir-unwrap-") as folder:
         source, target = Path(folder, "mesh.npz"), Path(folder, "atlas.npz")
         np.savez(source, vertices=mesh.vertices, faces=mesh.faces)
+        # other modules than these would load torch there
+        constants = [one for one in applied if one.startswith("geometry.mesh.")]
         command = [
             sys.executable,
             "-c",
@@ -37,7 +39,7 @@ def _in_child(mesh: Mesh, seconds: float) -> tuple[NDArray[np.float32], NDArray[
             str(source),
             str(target),
             str(seconds),
-            json.dumps(applied),
+            json.dumps(constants),
             *[entry for entry in sys.path if entry],
         ]
         try:
