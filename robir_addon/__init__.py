@@ -29,7 +29,6 @@ _MODULES = (
     "operators.library",
     "result.pictures",
     "capture.photographs",
-    "panels.notices",
     "panels.sidebar",
     "panels.menus",
     "command_line",

@@ -4,10 +4,12 @@
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import bpy
+import numpy as np
 
-from .errors import ResultError
+from .engine.errors import ResultError
 from .gateway import UDIM, files_of
 
 MARK = "robir_result"  # custom property that names the result folder a data-block came from
@@ -70,6 +72,20 @@ def _forget_other_tiles(image: bpy.types.Image, file: Path) -> None:
     known = {tile.number: tile for tile in image.tiles}
     for number in known.keys() - numbers:
         image.tiles.remove(known[number])
+
+
+def numbers_of(elements: Any, name: str, width: int = 1, kind: type = np.float32) -> np.ndarray:
+    """What the elements of a mesh have under a name, (N, width)."""
+    values = np.empty(len(elements) * width, kind)
+    elements.foreach_get(name, values)
+    return values.reshape(-1, width)
+
+
+def viewports(scene: bpy.types.Scene | None = None) -> list[bpy.types.Area]:
+    """The 3D viewports of all windows, or of those that show a scene."""
+    windows = bpy.context.window_manager.windows
+    shown = [w for w in windows if scene is None or w.scene == scene]
+    return [area for w in shown for area in w.screen.areas if area.type == "VIEW_3D"]
 
 
 def enable_nodes(block: bpy.types.Material | bpy.types.World) -> None:

@@ -26,12 +26,8 @@ sys.exit(main())
 def blender_command(words: Sequence[str]) -> tuple[list[str], dict[str, str]]:
     """Command line and environment variables that run a command of `headless`.
 
-    Args:
-        words: The command and its arguments.
-
-    Returns:
-        This Blender's executable with this extension, or, where Blender is a module of Python, a
-        Python that imports the same modules as this one.
+    It is this Blender's executable with this extension, or, where Blender is a module of Python, a
+    Python that imports the same modules as this one.
     """
     if bpy.app.binary_path:
         start = [bpy.app.binary_path, "--background", "--disable-autoexec", "--addons", ADDON]

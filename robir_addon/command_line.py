@@ -20,7 +20,9 @@ from typing import Any
 
 import bpy
 
-from . import engine, gateway, headless
+from . import gateway, headless
+from .engine.errors import EngineError
+from .engine.places import clean_environment, inspect, interpreter
 from .preferences import engine_python
 
 _STOPS = (signal.SIGINT, signal.SIGTERM)
@@ -28,11 +30,8 @@ _handles: list[Any] = []
 
 
 def worker_environment() -> dict[str, str]:
-    """Variables for a process of the engine; with them it uses this Blender.
-
-    The wheel `bpy` has no executable; there the engine falls back on a wheel of its own.
-    """
-    environment = engine.clean_environment()
+    """Variables for a process of the engine; it uses this Blender where that has an executable."""
+    environment = clean_environment()
     if bpy.app.binary_path:
         environment |= {"ROBIR_BLENDER": bpy.app.binary_path, "ROBIR_ADDON": str(__package__)}
     return environment
@@ -59,9 +58,9 @@ def reconstruct(arguments: list[str]) -> int:
         if options.engine is None:
             python = engine_python(bpy.context)
         else:
-            python = engine.interpreter(options.engine)
-            engine.inspect(python, gateway.__version__)
-    except engine.EngineError as error:
+            python = interpreter(options.engine)
+            inspect(python, gateway.__version__)
+    except EngineError as error:
         sys.stderr.write(f"error: {error}, or name one with --engine PYTHON\n")
         return error.exit_code
     return _run_worker([python, "-P", "-m", "robir", "reconstruct", *words])

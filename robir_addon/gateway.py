@@ -10,7 +10,7 @@ import sys
 import tomllib
 from pathlib import Path
 
-from .errors import AddonError
+from .engine.errors import AddonError
 
 _CURE = "install the extension's zip again and restart Blender"
 

@@ -27,14 +27,22 @@ from mathutils import Matrix, Vector
 from .blocks import MARK
 from .capture.cameras import VIEW, capture_cameras, use_camera, use_close_up
 from .capture.foreign_mesh import SUFFIXES, bound, convert, convert_apart
-from .errors import AddonError, RequestError, ResultError
+from .engine.errors import AddonError, RequestError, ResultError
 from .gateway import JobPaths, file_in
 from .relighting.lights import SHOWN_LIGHTS, found_environment, show_environment, turn_light
-from .relighting.rendering import cut_short, prepare_scene, render_still, set_threads, write_film
-from .relighting.view_transform import ToneTable, match_view_transform, read_tone_table
+from .relighting.rendering import (
+    ToneTable,
+    cut_short,
+    match_view_transform,
+    prepare_scene,
+    read_tone_table,
+    render_still,
+    set_threads,
+    write_film,
+)
 from .result.asset import fill_simple_name, leave_machine, make_asset
 from .result.importer import import_result, read_tone_curve
-from .result.placing import stand
+from .result.placing import points_of, stand
 
 # set by who starts a command and keeps its standard input open for as long as it waits
 _FOLLOWED = "ROBIR_FOLLOWED"
@@ -56,7 +64,7 @@ def main(arguments: list[str] | None = None) -> int:
             if _is_of_the_disk(error):
                 then = "try again" if options.command is convert_mesh else "continue with --resume"
                 cure = f"make room or mend the folder, then {then}"
-                sys.stderr.write(f"error: {_line(error)}; {cure}\n")
+                sys.stderr.write(f"error: {' '.join(str(error).split())}; {cure}\n")
                 return _DISK
             if not isinstance(error, AddonError):
                 raise
@@ -80,10 +88,6 @@ def _is_of_the_disk(error: BaseException) -> bool:
             return True
         link = link.__cause__ or link.__context__
     return False
-
-
-def _line(error: BaseException) -> str:
-    return " ".join(str(error).split())
 
 
 @contextmanager
@@ -227,10 +231,8 @@ def _points_of_asset(scene: bpy.types.Scene) -> np.ndarray:
     found = [np.empty((0, 3))]
     for item in scene.objects:
         if item.type == "MESH" and MARK in item:
-            points = np.empty(3 * len(item.data.vertices), np.float32)
-            item.data.vertices.foreach_get("co", points)
             place = np.array(item.matrix_world)
-            found.append(points.reshape(-1, 3) @ place[:3, :3].T + place[:3, 3])
+            found.append(points_of(item) @ place[:3, :3].T + place[:3, 3])
     return np.concatenate(found)
 
 

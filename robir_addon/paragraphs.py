@@ -40,6 +40,16 @@ def paragraph(
     return column
 
 
+def advice(
+    layout: bpy.types.UILayout, context: bpy.types.Context, text: str, cure: str, icon: str
+) -> None:
+    """Draw what is the matter, and below it what to do about it."""
+    paragraph(layout, context, text, icon, is_boxed=True)
+    if cure:
+        cure = f"{cure[:1].upper()}{cure[1:]}"
+        paragraph(layout, context, cure, "BLANK1", is_boxed=True)
+
+
 @lru_cache(maxsize=512)
 def break_lines(text: str, room: int, points: float) -> tuple[str, ...]:
     """Lines of a text no wider than `room`, points; a wider word, as a path, is broken within."""
@@ -49,7 +59,7 @@ def break_lines(text: str, room: int, points: float) -> tuple[str, ...]:
         line = ""
         for word in given.split():
             longer = f"{line} {word}" if line else word
-            if _width(longer) <= room:
+            if blf.dimensions(0, longer)[0] <= room:
                 line = longer
                 continue
             if line:
@@ -64,14 +74,10 @@ def _pieces(word: str, room: int) -> list[str]:
     """A word cut into pieces that fit, each at least one letter long."""
     pieces = [""]
     for letter in word:
-        if pieces[-1] and _width(pieces[-1] + letter) > room:
+        if pieces[-1] and blf.dimensions(0, pieces[-1] + letter)[0] > room:
             pieces.append("")
         pieces[-1] += letter
     return pieces
-
-
-def _width(text: str) -> float:
-    return blf.dimensions(0, text)[0]
 
 
 class Panel:
@@ -122,5 +128,4 @@ def progress(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     layout.progress(factor=state.fraction, type="BAR", text=text)
     if state.message:
         paragraph(layout, context, state.message)
-    stop = "robir.cancel_install" if state.task == "install" else "robir.cancel_reconstruct"
-    layout.operator(stop, text="Cancel", icon="CANCEL")
+    layout.operator("robir.cancel_reconstruct", icon="CANCEL")

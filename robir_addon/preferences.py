@@ -14,16 +14,19 @@ from typing import Any
 import bpy
 from bpy.props import EnumProperty, StringProperty
 
-from . import engine, gateway
+from . import gateway
 from .child import own_folder
-from .engine import EngineError, Place, Sentence, Status
-from .paragraphs import paragraph
+from .engine import CAN_INSTALL
+from .engine.errors import EngineError, Sentence
+from .engine.places import CHOOSE_EXISTING, Place, bundled_wheel, inspect, interpreter
+from .engine.states import Status, status
+from .paragraphs import advice, paragraph, progress
 from .words import told, words
 
 _ENGINES = (
     ("MANAGED", "Made by RobIR", "RobIR downloads and keeps what it needs in one folder"),
     ("EXISTING", "Existing environment", "A Python that has robir and torch already"),
-)[not engine.CAN_INSTALL :]
+)[not CAN_INSTALL :]
 
 _CHOOSE = "choose one in the add-on's preferences"
 
@@ -84,39 +87,33 @@ class ROBIR_AP_preferences(bpy.types.AddonPreferences):
         else:
             layout.prop(self, "torch_build")
             layout.prop(self, "wheels")
-        state = context.window_manager.robir
-        status, box = engine_status(context), layout.box()
-        is_at_work = state.task in ("install", "check_engine", "remove_engine")
-        error = state.error if state.error == state.engine_error and not is_at_work else ""
-        if error:  # what went wrong, not what would go wrong again
-            paragraph(box, context, error, "ERROR")
-            if state.error_cure:
-                paragraph(box, context, state.error_cure, "BLANK1")
-        elif not is_at_work:
-            icon = "CHECKMARK" if status.state == "ready" else "INFO"
-            paragraph(box, context, told(status.text), icon)
-            if status.cure:
-                cure = told(status.cure)
-                paragraph(box, context, f"{cure[:1].upper()}{cure[1:]}", "BLANK1")
-        if is_at_work:
-            box.progress(factor=state.fraction, type="BAR", text=state.message)
-        elif state.engine_text and not error:
-            paragraph(box, context, state.engine_text, "CHECKMARK" if state.engine_ok else "ERROR")
-        row = box.row(align=True)
-        if state.task == "install":
-            row.operator("robir.cancel_install", icon="CANCEL")
-        elif self.engine == "MANAGED":
-            row.operator("robir.install_engine", text=install_text(context), icon="IMPORT")
-        row.operator("robir.check_engine", icon="CHECKMARK")
-        if self.engine == "MANAGED":
-            row.operator("robir.remove_engine", icon="TRASH")
+        draw_engine(layout.box(), context)
+
+
+def draw_engine(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """What computes: whether it works, and how to get it."""
+    state, chosen = context.window_manager.robir, preferences_of(context)
+    if state.task in ("install", "check_engine", "remove_engine"):
+        progress(layout, context)
+    elif state.error and state.error == state.engine_error:
+        # what went wrong, not what would go wrong again
+        advice(layout, context, state.error, state.error_cure, "ERROR")
+    else:
+        found = shown_engine_status(context)
+        icon = "CHECKMARK" if found.state == "ready" else "INFO"
+        advice(layout, context, told(found.text), told(found.cure), icon)
+        if state.engine_text:
+            icon = "CHECKMARK" if state.engine_ok else "ERROR"
+            paragraph(layout, context, state.engine_text, icon)
+    column = layout.column(align=True)
+    column.operator("robir.check_engine", icon="CHECKMARK")
+    if CAN_INSTALL and (chosen is None or chosen.engine == "MANAGED"):
+        column.operator("robir.install_engine", text=install_text(context), icon="IMPORT")
+        column.operator("robir.remove_engine", icon="TRASH")
 
 
 def install_text(context: bpy.types.Context) -> str:
-    """What pressing the button does, how much is downloaded and how long that takes.
-
-    Minutes are of a line of 50 Mbit/s, the unpacking included.
-    """
+    """What the button does, how much is downloaded, and how long that takes at 50 Mbit/s."""
     outdated = shown_engine_status(context).state == "outdated"
     chosen = preferences_of(context)
     what = words("Update Engine" if outdated else "Install Engine")
@@ -138,14 +135,14 @@ def managed_place() -> Place:
     home = own_folder(create=False)
     if home is None:
         raise EngineError(
-            "RobIR runs from a folder and not as an installed extension", engine.CHOOSE_EXISTING
+            "RobIR runs from a folder and not as an installed extension", CHOOSE_EXISTING
         )
     return Place(home / "engine")
 
 
 def managed_wheel() -> Path:
     """The wheel that the managed engine is made from."""
-    wheel = engine.bundled_wheel()
+    wheel = bundled_wheel()
     if wheel is None:
         raise EngineError(
             "this copy of the add-on brings no robir wheel", "install the zip of build_addon.py"
@@ -160,8 +157,10 @@ def engine_status(context: bpy.types.Context) -> Status:
         return Status("ready", "The engine is this Python", python=Path(sys.executable))
     try:
         if chosen.engine == "MANAGED":
-            return engine.status(managed_place(), managed_wheel(), chosen.torch_build)
-        python = _existing_python(chosen)
+            return status(managed_place(), managed_wheel(), chosen.torch_build)
+        if not chosen.python:
+            return Status("missing", "No existing environment is chosen", _CHOOSE)
+        python = interpreter(Path(bpy.path.abspath(chosen.python)))
     except EngineError as error:
         return Status("missing", error.message, error.cure)
     return Status("ready", Sentence("The engine is {python}", python=python), python=python)
@@ -177,16 +176,10 @@ def shown_engine_status(context: bpy.types.Context) -> Status:
 
 def engine_python(context: bpy.types.Context) -> Path:
     """The interpreter to start a worker with."""
-    status = engine_status(context)
-    if status.python is None:
-        raise EngineError(status.text, status.cure)
+    found = engine_status(context)
+    if found.python is None:
+        raise EngineError(found.text, found.cure)
     chosen = preferences_of(context)
     if chosen is not None and chosen.engine == "EXISTING":
-        engine.inspect(status.python, gateway.__version__)
-    return status.python
-
-
-def _existing_python(chosen: ROBIR_AP_preferences) -> Path:
-    if not chosen.python:
-        raise EngineError("No existing environment is chosen", _CHOOSE)
-    return engine.interpreter(Path(bpy.path.abspath(chosen.python)))
+        inspect(found.python, gateway.__version__)
+    return found.python

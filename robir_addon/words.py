@@ -25,13 +25,7 @@ def words(text: str, /, **values: object) -> str:
 
 
 def told(said: str | Exception, /, **values: object) -> str:
-    """What is reported, refused or went wrong, in the language of Blender's reports.
-
-    Args:
-        said: English, with fields in braces; a `Sentence`, or an error that holds some. Any other
-            error stays as it is.
-        **values: As for `words`.
-    """
+    """What is reported, refused or went wrong, an error itself too, in the language of reports."""
     if isinstance(said, Exception):
         return "; ".join(map(told, getattr(said, "sentences", (str(said),))))
     if isinstance(said, Sentence):
@@ -46,10 +40,7 @@ def reported(fault: RuntimeError) -> str:
 
 
 def read_catalogue(file: Path) -> dict[tuple[str, str], str]:
-    """The translations of a .po file by context and English text.
-
-    What is not translated, or marked as fuzzy, is left out.
-    """
+    """Translations of a .po file by context and English text, none that are empty or fuzzy."""
     known = {}
     for block in re.split(r"\n\s*\n", file.read_text(encoding="utf-8")):
         lines = block.splitlines()

@@ -76,7 +76,8 @@ def pack(result: Path, capture: Path, shipped: Path) -> None:
     kept = [result / "run.json", *result.glob("export/textures/*.png")]
     # Blender has the tone curve, so that its table is not read
     kept += [result / "export" / name for name in ("asset.glb", "light.json", "tone_curve.json")]
-    kept += [*result.glob("renders/light_*.png"), *result.glob("renders/rerender_*.png")]
+    for kind in ("light_*.png", "rerender_*.png", "compare_*.webp"):
+        kept += result.glob(f"renders/{kind}")
     for file in kept:
         target = out / file.relative_to(result)
         target.parent.mkdir(parents=True, exist_ok=True)

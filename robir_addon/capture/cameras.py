@@ -18,16 +18,7 @@ _SPLIT = "robir_split"
 
 
 def add_camera(view: dict[str, Any], folder: Path, centre: list[float]) -> bpy.types.Object:
-    """A camera for a view of cameras.json, not yet linked to a collection.
-
-    Args:
-        view: Name, size, intrinsics in pixels, camera_to_world with OpenGL axes.
-        folder: Folder that the view's image path is relative to.
-        centre: Middle of the object, capture frame; sets the clipping distances.
-
-    Returns:
-        The camera object; it carries its picture's size and pixel aspect for `use_camera`.
-    """
+    """A camera for a view of cameras.json, its image below `folder`; not yet in a collection."""
     data = bpy.data.cameras.new(view["name"])
     width, height, fx, fy = view["width"], view["height"], view["fx"], view["fy"]
     # a pixel is drawn 1/f wide and high: one of the two aspects is always 1
@@ -70,10 +61,7 @@ def use_camera(scene: bpy.types.Scene, camera: bpy.types.Object, max_side: int =
 def use_close_up(
     scene: bpy.types.Scene, camera: bpy.types.Object, points: np.ndarray, side: int
 ) -> None:
-    """Make the scene's a camera that stands where a capture camera does, and sees points large.
-
-    Where some lie behind it, it sees what the capture camera sees.
-    """
+    """See points large from where a capture camera stands; as it does, where some lie behind it."""
     inverse = np.array(camera.matrix_world.inverted())
     seen = points @ inverse[:3, :3].T + inverse[:3, 3]
     use_camera(scene, camera, side)

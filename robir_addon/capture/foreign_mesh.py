@@ -20,8 +20,9 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
+from ..blocks import numbers_of
 from ..child import blender_command
-from ..errors import RequestError, ResultError
+from ..engine.errors import RequestError, ResultError
 from ..gateway import replacing
 
 # kinds of files that are read here; GLB, glTF, OBJ, PLY, STL and OFF the engine reads itself
@@ -64,12 +65,11 @@ def convert_apart(
             sentence = sentence.replace(str(made), str(out))
             raise _KINDS[done.returncode]("{sentence}", sentence=sentence)
         if notes is None:
-            raise RequestError(
+            text = (
                 "{file} ended Blender: it is damaged, or takes more than {most:.1f} GB of memory; "
-                "export it again with the program it comes from",
-                file=file,
-                most=most_bytes / 1e9,
+                "export it again with the program it comes from"
             )
+            raise RequestError(text, file=file, most=most_bytes / 1e9)
         with replacing(out) as temporary:
             made.replace(temporary)
     return notes
@@ -88,7 +88,8 @@ def _heard(done: subprocess.CompletedProcess[bytes]) -> tuple[tuple[str, ...] | 
 def bound(most_bytes: int) -> None:
     """Have this process end with its parent (Linux), or if it takes too much (not on Windows)."""
     if sys.platform == "linux":
-        _end_with_parent()
+        with suppress(OSError, AttributeError):  # the system kills it once its parent is gone
+            ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     with suppress(ImportError, ValueError, OSError):
         import resource
 
@@ -96,12 +97,6 @@ def bound(most_bytes: int) -> None:
         resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
         resource.setrlimit(resource.RLIMIT_DATA, (most_bytes, most_bytes))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-
-
-def _end_with_parent() -> None:
-    """Have the system kill this process once its parent is gone; on Linux alone."""
-    with suppress(OSError, AttributeError):
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
 def convert(file: Path, out: Path) -> tuple[str, ...]:
@@ -118,10 +113,8 @@ def convert(file: Path, out: Path) -> tuple[str, ...]:
     scene.frame_set(scene.frame_start)
     parts = _parts()
     if not parts:
-        raise RequestError(
-            "{file} shows no object with faces; export the mesh, not hidden, and try again",
-            file=file,
-        )
+        text = "{file} shows no object with faces; export the mesh, not hidden, and try again"
+        raise RequestError(text, file=file)
     _replace_all(parts)
     with replacing(out) as temporary:
         try:
@@ -145,11 +138,8 @@ def convert(file: Path, out: Path) -> tuple[str, ...]:
 def _check(file: Path, out: Path) -> None:
     """Refuse paths that make no sense before anything is opened."""
     if file.suffix.lower() not in SUFFIXES:
-        raise RequestError(
-            "{file} is of no kind that is converted here; give one of {known}",
-            file=file,
-            known=", ".join(SUFFIXES),
-        )
+        text = "{file} is of no kind that is converted here; give one of {known}"
+        raise RequestError(text, file=file, known=", ".join(SUFFIXES))
     if not file.is_file():
         raise RequestError("{file} does not exist or is no file; check the path", file=file)
     if out.suffix.lower() != ".glb":
@@ -175,11 +165,8 @@ def _load(file: Path) -> None:
     except RuntimeError as error:
         fault = str(error).partition("\n")[0].removeprefix("Error: ")
     if fault:
-        raise RequestError(
-            "{file} cannot be read ({fault}); export it again with the program it comes from",
-            file=file,
-            fault=fault,
-        )
+        text = "{file} cannot be read ({fault}); export it again with the program it comes from"
+        raise RequestError(text, file=file, fault=fault)
 
 
 def _parts() -> list[tuple[str, bpy.types.Mesh]]:
@@ -200,27 +187,23 @@ def _parts() -> list[tuple[str, bpy.types.Mesh]]:
 
 def _place(mesh: bpy.types.Mesh, place: Matrix) -> None:
     """Move a mesh, its own normals included; under a mirror its faces keep their outside."""
-    count = len(mesh.loops)
-    normals = np.empty(3 * count, np.float32)
-    mesh.corner_normals.foreach_get("vector", normals)
+    normals = numbers_of(mesh.corner_normals, "vector", 3)
     before, has_own = _order(mesh), mesh.has_custom_normals
     mesh.transform(place)
     if place.is_negative:
         mesh.flip_normals()
     if not has_own:
         return
-    moved = np.empty((count, 3))
-    moved[_order(mesh)] = normals.reshape(-1, 3)[before] @ np.array(place.inverted_safe())[:3, :3]
+    moved = np.empty(normals.shape)
+    moved[_order(mesh)] = normals[before] @ np.array(place.inverted_safe())[:3, :3]
     length = np.linalg.norm(moved, axis=1, keepdims=True)
     mesh.normals_split_custom_set(moved / np.maximum(length, 1e-30))
 
 
 def _order(mesh: bpy.types.Mesh) -> np.ndarray:
     """Corners (Nc,) by face and vertex, whichever way round the faces go."""
-    vertices = np.empty(len(mesh.loops), np.int32)
-    mesh.loops.foreach_get("vertex_index", vertices)
-    sizes = np.empty(len(mesh.polygons), np.int32)
-    mesh.polygons.foreach_get("loop_total", sizes)
+    vertices = numbers_of(mesh.loops, "vertex_index", kind=np.int32).ravel()
+    sizes = numbers_of(mesh.polygons, "loop_total", kind=np.int32).ravel()
     return np.lexsort([vertices, np.repeat(np.arange(len(sizes)), sizes)])
 
 

@@ -14,6 +14,7 @@ from typing import Any
 import bpy
 from mathutils import Vector
 
+from ..blocks import viewports
 from .cameras import SENSOR_WIDTH, add_camera
 
 COLLECTION = "RobIR capture"
@@ -215,15 +216,15 @@ def small_copy_name(view_name: str) -> str:
 
 
 _ASIDE = "robir_aside"  # custom property of what was hidden here
-_LIGHT_AT = (4.076, 1.005, 5.904)
-_LIGHT_WATTS = 1000.0
+# type and place of what Blender's startup file holds
+_STARTUP = {"Cube": ("MESH", (0.0, 0.0, 0.0)), "Light": ("LIGHT", (4.076, 1.005, 5.904))}
 
 
 def put_aside(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> list[str]:
     """Hide the untouched Cube and Light of Blender's startup file; their names."""
     names = []
     for obj in scene.objects:
-        if obj.name not in view_layer.objects or not (_is_cube(obj) or _is_light(obj)):
+        if obj.name not in view_layer.objects or not _is_untouched(obj):
             continue
         if obj.hide_render or obj.hide_get(view_layer=view_layer):
             continue
@@ -244,22 +245,15 @@ def bring_back(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> None:
                 obj.hide_set(False, view_layer=view_layer)
 
 
-def _is_cube(obj: bpy.types.Object) -> bool:
-    if obj.type != "MESH" or obj.name != "Cube" or obj.modifiers or not _is_at(obj, (0, 0, 0)):
+def _is_untouched(obj: bpy.types.Object) -> bool:
+    kind, place = _STARTUP.get(obj.name, ("", (0.0, 0.0, 0.0)))
+    moved, scaled = obj.location - Vector(place), obj.scale - Vector((1.0, 1.0, 1.0))
+    if obj.type != kind or obj.modifiers or max(moved.length, scaled.length) > 1e-3:
         return False
+    if kind == "LIGHT":
+        return obj.data.type == "POINT" and abs(obj.data.energy - 1000.0) < 1e-3
     vertices = obj.data.vertices
     return len(vertices) == 8 and all(abs(x) == 1.0 for v in vertices for x in v.co)
-
-
-def _is_light(obj: bpy.types.Object) -> bool:
-    if obj.type != "LIGHT" or obj.name != "Light" or not _is_at(obj, _LIGHT_AT):
-        return False
-    return obj.data.type == "POINT" and abs(obj.data.energy - _LIGHT_WATTS) < 1e-3
-
-
-def _is_at(obj: bpy.types.Object, place: tuple[float, float, float]) -> bool:
-    unscaled = all(abs(s - 1.0) < 1e-5 for s in obj.scale)
-    return unscaled and all(abs(a - b) < 1e-3 for a, b in zip(obj.location, place, strict=True))
 
 
 _ROOM = 1.15  # how much farther off the view is than it need be
@@ -267,10 +261,8 @@ _ROOM = 1.15  # how much farther off the view is than it need be
 
 def frame(scene: bpy.types.Scene, centre: Sequence[float], radius: float) -> None:
     """Make the viewports of a scene look at a sphere, world."""
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas if window.scene == scene else ():
-            if area.type == "VIEW_3D":
-                _frame_area(area, Vector(centre), radius)
+    for area in viewports(scene):
+        _frame_area(area, Vector(centre), radius)
 
 
 def _frame_area(area: bpy.types.Area, centre: Vector, radius: float) -> None:

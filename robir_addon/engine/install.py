@@ -171,10 +171,7 @@ def _torch_words(options: argparse.Namespace) -> list[str]:
 
 
 def _robir_words(options: argparse.Namespace) -> list[str]:
-    """The core with what it needs, for photographs alone too.
-
-    From the network comes nothing but what was tested, by its hash.
-    """
+    """The core with what it needs, for photographs alone too; what was tested, by its hash."""
     if options.wheels is not None:
         return [f"{options.wheel}[photos]", "--constraint", str(options.constraints)]
     address = f"{options.wheel.as_uri()}#sha256={wheel_hash(options.wheel)}"
@@ -240,12 +237,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--root", type=_absolute, required=True, help="the engine's folder")
     parser.add_argument("--wheel", type=_absolute, required=True, help="wheel of the core")
     parser.add_argument("--constraints", type=_absolute, required=True, help="versions to take")
-    parser.add_argument(
-        "--hashes",
-        type=_absolute,
-        default=Path(__file__).parent,
-        help="folder of the lists of what the network may give; default those beside this file",
-    )
+    own, text = Path(__file__).parent, "folder of the lists of what the network may give"
+    parser.add_argument("--hashes", type=_absolute, default=own, help=text)
     parser.add_argument("--torch", choices=("CPU", "CUDA"), required=True)
     source = parser.add_mutually_exclusive_group(required=True)
     source.add_argument(

@@ -202,15 +202,11 @@ class _Meter:
             self._progress(self._share(), f"downloading {text}")
         elif found := re.match(r"(?:Downloading|Using cached|Processing) (.+\.whl)", line):
             self._finished, self._current = self._finished + self._current, 0
-            self._file = _package(found[1])
+            wheel = re.split(r"[/\\]", found[1])[-1].replace("%2B", "+")  # of an address or path
+            self._file = " ".join(wheel.split("-")[:2])
             self._progress(self._share(), f"fetching {self._file}")
         elif line.startswith("Installing collected packages"):
             self._progress(0.92, f"unpacking {self._name}, which takes a while")
 
     def _share(self) -> float:
         return 0.9 * min(1.0, (self._finished + self._current) / self._expected)
-
-
-def _package(address: str) -> str:
-    """Name and version of a wheel's address or path."""
-    return " ".join(re.split(r"[/\\]", address)[-1].replace("%2B", "+").split("-")[:2])

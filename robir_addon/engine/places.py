@@ -121,9 +121,6 @@ def base_python() -> Path:
 
     Blender's own, or, as the engine is a process of its own anyway, one that this machine has
     besides where the engine's parts are not offered for Blender's.
-
-    Raises:
-        EngineError: If there is none; what to install is the cure.
     """
     own = _own_python()
     if own is not None and OLDEST <= sys.version_info[:2] <= NEWEST:
@@ -133,13 +130,12 @@ def base_python() -> Path:
         if found is not None:
             return found
     release, newest = ("{}.{}".format(*version) for version in (sys.version_info, NEWEST))
-    raise EngineError(
-        "the engine's parts are not offered for Python {release}, Blender's own",
+    text = "the engine's parts are not offered for Python {release}, Blender's own"
+    cure = (
         "install Python {newest} beside it (on Debian and Ubuntu the package python{newest}-venv, "
-        "else from python.org), then press Install Engine",
-        release=release,
-        newest=newest,
+        "else from python.org), then press Install Engine"
     )
+    raise EngineError(text, cure, release=release, newest=newest)
 
 
 def _own_python() -> Path | None:
@@ -210,12 +206,9 @@ def interpreter(given: Path) -> Path:
     if found.is_file():
         return found
     name = "Scripts\\python.exe" if IS_WINDOWS else "bin/python"
-    raise EngineError(
-        "{found} does not exist",
-        "choose the environment's {name} in the add-on's preferences",
-        found=found,
-        name=name,
-    )
+    text = "{found} does not exist"
+    cure = "choose the environment's {name} in the add-on's preferences"
+    raise EngineError(text, cure, found=found, name=name)
 
 
 def inspect(python: Path, version: str) -> Facts:
@@ -223,40 +216,23 @@ def inspect(python: Path, version: str) -> Facts:
     facts = _probe(python)
     release = ".".join(map(str, facts["python"]))
     if tuple(facts["python"]) < OLDEST:
+        text = "{python} is Python {release}, RobIR needs {oldest} or newer"
+        cure = "choose another environment"
         raise EngineError(
-            "{python} is Python {release}, RobIR needs {oldest} or newer",
-            "choose another environment",
-            python=python,
-            release=release,
-            oldest=".".join(map(str, OLDEST)),
+            text, cure, python=python, release=release, oldest=".".join(map(str, OLDEST))
         )
-    pip = f'"{python}" -m pip install'
+    known = {"python": python, "version": version, "found": facts["robir"]}
+    known["pip"] = f'"{python}" -m pip install'
+    cure = "install it there: {pip} and the robir {version} wheel"
     if facts["robir"] is None:
-        raise EngineError(
-            "{python} has no robir",
-            "install it there: {pip} and the robir {version} wheel",
-            python=python,
-            pip=pip,
-            version=version,
-        )
+        raise EngineError("{python} has no robir", cure, **known)
     if facts["robir"] != version:
-        raise EngineError(
-            "{python} has robir {found}, this add-on needs {version}",
-            "install the same version there: {pip} and the robir {version} wheel",
-            python=python,
-            found=facts["robir"],
-            version=version,
-            pip=pip,
-        )
+        text = "{python} has robir {found}, this add-on needs {version}"
+        raise EngineError(text, cure, **known)
     for name in ("torch", "numpy"):
         if facts[name] is None:
-            raise EngineError(
-                "{python} has no {name}",
-                "install it there: {pip} {name}",
-                python=python,
-                name=name,
-                pip=pip,
-            )
+            text = "{python} has no {name}"
+            raise EngineError(text, "install it there: {pip} {name}", name=name, **known)
     return Facts(release, facts["robir"], facts["torch"], facts["numpy"])
 
 

@@ -1,31 +1,27 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Removes the managed engine: what RobIR made there, and nothing else.
 
-Run apart from Blender (`places.worker_command`), for it takes a while: standard output carries JSON
-lines {"progress": 0..1, "message": ...}, and at the end {"left": [names]} or {"error": ...,
-"cure": ...}.
+Run apart from Blender (`places.worker_command`), for it takes a while: standard output carries a
+JSON line {"progress": 0, "message": ...}, and {"left": [names]} or {"error": ..., "cure": ...}.
 """
 
 import json
 import os
+import shutil
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from .errors import EngineError
 from .places import Place
 
-_EVERY = 200  # files between two reports
-Progress = Callable[[float, str], None]
-
 
 def main() -> int:
     """Remove the engine in the folder that the command line names; returns the exit code."""
+    _say(progress=0.0, message="removing the engine")
     try:
-        left = remove(
-            Place(Path(sys.argv[1])), lambda share, text: _say(progress=share, message=text)
-        )
+        left = remove(Place(Path(sys.argv[1])))
     except EngineError as error:
         _say(error=error.message, cure=error.cure)
         return error.exit_code
@@ -38,7 +34,7 @@ def _say(**report: object) -> None:
     sys.stdout.flush()
 
 
-def remove(place: Place, progress: Progress = lambda *_: None) -> tuple[Path, ...]:
+def remove(place: Place) -> tuple[Path, ...]:
     """Remove the engine; files that are not RobIR's stay, and their folder with them."""
     if place.root.is_symlink() or not place.marker.is_file():
         raise EngineError(
@@ -49,7 +45,10 @@ def remove(place: Place, progress: Progress = lambda *_: None) -> tuple[Path, ..
         with engine_lock(place.lock):
             place.record.unlink(missing_ok=True)
             for folder in (place.environment, place.cache):
-                _remove_folder(folder, progress)
+                if folder.is_symlink():  # what it leads to may be anything
+                    folder.unlink()
+                elif folder.exists():
+                    shutil.rmtree(folder)
             place.log.unlink(missing_ok=True)
         place.lock.unlink(missing_ok=True)
         place.marker.unlink()
@@ -62,26 +61,6 @@ def remove(place: Place, progress: Progress = lambda *_: None) -> tuple[Path, ..
         place.root.rmdir()
         return ()
     return tuple(sorted(place.root.iterdir()))
-
-
-def _remove_folder(folder: Path, progress: Progress) -> None:
-    """Remove a folder of ours; of a link only the link, for what it leads to may be anything."""
-    if folder.is_symlink():
-        folder.unlink()
-        return
-    total = sum(len(files) for _, _, files in os.walk(folder))
-    done = 0
-    for parent, folders, files in os.walk(folder, topdown=False):
-        for name in files:
-            Path(parent, name).unlink()
-            done += 1
-            if done % _EVERY == 0:
-                progress(done / total, f"removing {done} of {total} files")
-        for name in folders:
-            inner = Path(parent, name)
-            inner.unlink() if inner.is_symlink() else inner.rmdir()
-    if folder.exists():
-        folder.rmdir()
 
 
 if sys.platform == "win32":

@@ -11,8 +11,7 @@ from ..blocks import select_alone
 from ..capture import viewport
 from ..capture.photographs import list_photographs, result_of
 from ..capture.viewport import bring_back
-from ..engine import EngineError
-from ..errors import AddonError
+from ..engine.errors import AddonError, EngineError
 from ..gateway import client
 from ..preferences import engine_python
 from ..words import told
@@ -65,10 +64,7 @@ class _Look:
             bpy.ops.ed.undo_push(message=ROBIR_OT_look_at_capture.bl_label)
 
     def end_chosen(self, code: int, said: str) -> None:
-        """Show the answer; a run of this capture is followed, a finished one brought in.
-
-        A Blender that was closed without saving has left no other trace of the run.
-        """
+        """Show the answer; follow a run of this capture: a closed Blender left no other trace."""
         self.end_clicked(code, said)
         scene = bpy.data.scenes.get(self._scene)
         if scene is None or absolute(scene.robir.capture) != self._capture:
@@ -114,7 +110,10 @@ class _Look:
                 viewport.clear_capture()
                 return
         else:
-            state.recognised = _recognised(self._facts)
+            name = _FORMATS.get(self._facts["format"], self._facts["format"])
+            count = self._facts["views"] + self._facts["held_out"]
+            text = "{count} photographs, {name}"
+            state.recognised = told(text, name=name, count=count)
         try:
             monitor.do_in_steps(viewport.show_capture(scene, self._facts))
         except RuntimeError as fault:
@@ -148,12 +147,6 @@ def _named(files: list[str]) -> str:
     if more > 0:
         names = told("{names} and {count} more", names=names, count=more)
     return f" ({names})"
-
-
-def _recognised(facts: dict[str, Any]) -> str:
-    name = _FORMATS.get(facts["format"], facts["format"])
-    count = facts["views"] + facts["held_out"]
-    return told("{count} photographs, {name}", name=name, count=count)
 
 
 class ROBIR_OT_choose_capture(WaitingOperator, bpy.types.Operator):

@@ -1,26 +1,22 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Photograph, re-render, albedo and roughness of a view: beside each other, or one over another."""
 
+from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 import bpy
 from bpy.props import IntProperty, StringProperty
 
 from ..blocks import MARK
 from ..capture.cameras import VIEW
-from ..errors import AddonError
+from ..engine.errors import AddonError
 from ..gateway import JobPaths
-from ..result.comparison import Comparison, compare, neighbour
-from ..result.importer import mark_of, read_cameras
-from ..result.pictures import CAPTIONS, put_image, show_image
+from ..result.importer import mark_of
+from ..result.pictures import CAPTIONS, compare, compared_views, put_image, show_image, wiped
 from ..words import told, words
 from .shared import Operator, has_result, result_paths
 
 COMPARISON = "RobIR comparison"
-
-# the view that was compared last, and its result folder; a file that opens has none
-_shown: list[tuple[Path, Comparison]] = []
 
 
 def _is_compared(context: bpy.types.Context) -> str:
@@ -43,8 +39,7 @@ class ROBIR_OT_compare(Operator, bpy.types.Operator):
     )
 
     def work(self, context: bpy.types.Context) -> None:
-        paths = result_paths(context)
-        self.report({"INFO"}, _show_comparison(context, paths, read_cameras(paths), self.view))
+        self.report({"INFO"}, _show(context, result_paths(context), self.view))
 
 
 class ROBIR_OT_compare_next(Operator, bpy.types.Operator):
@@ -62,50 +57,37 @@ class ROBIR_OT_compare_next(Operator, bpy.types.Operator):
         return self.execute(context)
 
     def work(self, context: bpy.types.Context) -> None:
-        paths = result_paths(context)
-        table = read_cameras(paths)
-        view = neighbour(paths, table, bpy.data.images[COMPARISON][VIEW], self.step)
-        self.report({"INFO"}, _show_comparison(context, paths, table, view))
+        paths, view = result_paths(context), bpy.data.images[COMPARISON][VIEW]
+        views = compared_views(paths)
+        place = views.index(view) + self.step if view in views else 0
+        self.report({"INFO"}, _show(context, paths, views[place % len(views)] if views else ""))
 
 
-def _show_comparison(
-    context: bpy.types.Context, paths: JobPaths, table: dict[str, Any], view: str
-) -> str:
-    """Show the four pictures of a view under their names; returns these for the report."""
-    _shown[:] = [(paths.root, compare(paths, table, view))]
-    names = _draw(context)
-    return told("View {name}: {pictures}", name=_shown[0][1].view, pictures=", ".join(names))
-
-
-def _draw(context: bpy.types.Context, *, is_fitted: bool = True) -> list[str]:
-    """Bring the view compared last to the image, as the header's choice has it; its names."""
-    (root, found), state = _shown[0], context.window_manager.robir
-    again = words("Re-render by {renderer}", renderer=found.rendered_by)
+def _show(context: bpy.types.Context, paths: JobPaths, view: str, *, is_fitted: bool = True) -> str:
+    """Show a view's pictures under their names, as the header's choice has it; says which."""
+    view, codes = compare(paths, view)
+    state = context.window_manager.robir
+    renderer = "Cycles" if paths.rerender(view).is_file() else "RobIR"
+    again = words("Re-render by {renderer}", renderer=renderer)
     names = [words("Photograph"), again, words("Albedo"), words("Roughness")]
     other = int(state.wipe_with)
-    codes = found.wiped(other, state.wipe) if other else found.codes
-    image = put_image(COMPARISON, codes, mark_of(root))
-    title = words("View {name}, arrow keys for others", name=found.view)
-    image[VIEW] = found.view
+    picture = wiped(codes, other, state.wipe) if other else codes
+    image = put_image(COMPARISON, picture, mark_of(paths.root))
+    title = words("View {name}, arrow keys for others", name=view)
+    image[VIEW] = view
     shown = [f"{names[0]} | {names[other]}"] if other else names
     image[CAPTIONS] = "\n".join((title, *shown))
     if is_fitted:
         show_image(context, image)
-    return names
+    return told("View {name}: {pictures}", name=view, pictures=", ".join(names))
 
 
 def draw_again(context: bpy.types.Context, *, is_fitted: bool) -> None:
     """Show the comparison as the header's choice has it now: wiped, or side by side."""
     image = bpy.data.images.get(COMPARISON)
-    if image is None or VIEW not in image:
-        return
-    if not _shown:  # the file was opened with its comparison
-        try:
-            paths = JobPaths(Path(image[MARK]))
-            _shown.append((paths.root, compare(paths, read_cameras(paths), image[VIEW])))
-        except AddonError:
-            return
-    _draw(context, is_fitted=is_fitted)
+    if image is not None and VIEW in image:
+        with suppress(AddonError):  # the result's folder is gone
+            _show(context, JobPaths(Path(image[MARK])), image[VIEW], is_fitted=is_fitted)
 
 
 def _draw_header(header: bpy.types.Header, context: bpy.types.Context) -> None:
@@ -138,4 +120,3 @@ def register() -> None:
 def unregister() -> None:
     """Take them back."""
     bpy.types.IMAGE_HT_header.remove(_draw_header)
-    _shown.clear()

@@ -11,9 +11,9 @@ from typing import Any
 
 import bpy
 
-from .. import engine
-from ..engine import EngineError, Sentence
-from ..errors import AddonError
+from ..engine.errors import AddonError, EngineError, Sentence
+from ..engine.places import base_python, constraints, worker_command
+from ..engine.states import read_record
 from ..preferences import engine_python, engine_status, managed_place, managed_wheel, preferences_of
 from ..words import told
 from ..work import monitor
@@ -34,9 +34,9 @@ Run = Callable[..., None]
 class _Task:
     """A subprocess of the engine: what it says goes to the window manager's state."""
 
-    def __init__(self, what: Sentence) -> None:
+    def __init__(self, what: Sentence, succeed: Callable[[dict[str, Any]], None]) -> None:
         """Clear what the last task left."""
-        self._what = what
+        self._what, self._succeed = what, succeed
         self._last: dict[str, Any] = {}
         _tell("", "")
 
@@ -47,62 +47,43 @@ class _Task:
 
     def on_end(self, code: int, complaint: str) -> None:
         """Show the outcome."""
-        if code == _CANCELLED:
-            self.cancelled()
+        if code == _CANCELLED:  # what there is now, and how to go on, is said beside it
+            state = bpy.context.window_manager.robir
+            state.engine_ok = False
+            state.engine_text = told("{work} was cancelled", work=self._what)
         elif "error" in self._last:
             _tell(self._last["error"], self._last["cure"])
         elif self._last:
-            self.succeed(self._last)
+            self._succeed(self._last)
         else:
             said = (complaint.splitlines() or [told("it ended with code {code}", code=code)])[-1]
             problem = told("{work} failed: {said}", work=self._what, said=said)
             _tell(problem, told("remove the engine and install it again"))
 
-    def succeed(self, outcome: dict[str, Any]) -> None:
-        """Show the report that the process ended with."""
-        raise NotImplementedError
 
-    def cancelled(self) -> None:
-        """Show that the user stopped it."""
-        text = told("{work} was cancelled", work=self._what)
-        bpy.context.window_manager.robir.engine_text = text
-
-
-class _Installation(_Task):
-    def cancelled(self) -> None:
-        status, state = engine_status(bpy.context), bpy.context.window_manager.robir
-        state.engine_ok = False
-        state.engine_text = f"{told(status.text)}; {told(status.cure)}"
-
-    def succeed(self, outcome: dict[str, Any]) -> None:
-        state = bpy.context.window_manager.robir
-        state.engine_ok = False
-        state.engine_text = told(engine_status(bpy.context).text)
-        if not bpy.app.background:
-            _check(bpy.context, monitor.run_task)
+def _installed(_outcome: dict[str, Any]) -> None:
+    state = bpy.context.window_manager.robir
+    state.engine_ok = False
+    state.engine_text = told(engine_status(bpy.context).text)
+    if not bpy.app.background:
+        _check(bpy.context, monitor.run_task)
 
 
-class _Check(_Task):
-    def succeed(self, outcome: dict[str, Any]) -> None:
-        state = bpy.context.window_manager.robir
-        state.engine_ok = outcome["ok"]
-        state.engine_text = describe(outcome)
-        if not outcome["ok"]:
-            _tell(outcome["message"], outcome["cure"])
-        else:
-            look_at_waiting(bpy.context)
+def _checked(outcome: dict[str, Any]) -> None:
+    state = bpy.context.window_manager.robir
+    state.engine_ok = outcome["ok"]
+    state.engine_text = describe(outcome)
+    if not outcome["ok"]:
+        _tell(outcome["message"], outcome["cure"])
+    else:
+        look_at_waiting(bpy.context)
 
 
-class _Removal(_Task):
-    def cancelled(self) -> None:
-        cure = "press Remove Engine again, or Install Engine"
-        _tell(told("The removal was stopped midway"), told(cure))
-
-    def succeed(self, outcome: dict[str, Any]) -> None:
-        state = bpy.context.window_manager.robir
-        state.engine_text, state.engine_ok = "", False
-        left = ", ".join(outcome["left"])
-        _tell(told("Not RobIR's and left in place: {names}", names=left) if left else "", "")
+def _removed(outcome: dict[str, Any]) -> None:
+    state = bpy.context.window_manager.robir
+    state.engine_text, state.engine_ok = "", False
+    left = ", ".join(outcome["left"])
+    _tell(told("Not RobIR's and left in place: {names}", names=left) if left else "", "")
 
 
 def _is_managed(context: bpy.types.Context) -> str:
@@ -122,9 +103,6 @@ def _is_managed(context: bpy.types.Context) -> str:
 
 _is_wanted = unless(lambda c: engine_status(c).state != "ready", "The engine is installed")
 _is_there = unless(lambda c: engine_status(c).state != "missing", "There is no engine to remove")
-_is_installing = unless(
-    lambda context: context.window_manager.robir.task == "install", "No installation is at work"
-)
 
 
 class _EngineOperator(Operator):
@@ -163,19 +141,7 @@ class ROBIR_OT_install_engine(_EngineOperator, bpy.types.Operator):
 
     def start(self, context: bpy.types.Context, run: Run) -> None:
         command = _install_command(context)
-        _start(run, "install", command, _Installation(Sentence("The installation")))
-
-
-class ROBIR_OT_cancel_install(Operator, bpy.types.Operator):
-    """Stop the installation; the next one goes on where this one stopped."""
-
-    bl_label = "Cancel Installation"
-    bl_options = {"REGISTER"}
-    needs = (_is_installing,)
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        monitor.cancel()
-        return {"FINISHED"}
+        _start(run, "install", command, _Task(Sentence("The installation"), _installed))
 
 
 class ROBIR_OT_check_engine(_EngineOperator, bpy.types.Operator):
@@ -211,14 +177,14 @@ class ROBIR_OT_remove_engine(_EngineOperator, bpy.types.Operator):
         return self._run(context, monitor.wait_task if bpy.app.background else monitor.run_task)
 
     def start(self, context: bpy.types.Context, run: Run) -> None:
-        command = engine.worker_command(str(managed_place().root), module="remove")
-        _start(run, "remove_engine", command, _Removal(Sentence("The removal")))
+        command = worker_command(str(managed_place().root), module="remove")
+        _start(run, "remove_engine", command, _Task(Sentence("The removal"), _removed))
 
 
 def what_goes() -> str:
     """Folder and size of the managed engine, for whoever is asked whether it may go."""
     place = managed_place()
-    record = engine.read_record(place)
+    record = read_record(place)
     if record is None or not record.size:
         return str(place.root)
     return told("{size:.1f} GB in {folder}", size=record.size / 2**30, folder=place.root)
@@ -241,19 +207,17 @@ def _install_command(context: bpy.types.Context) -> list[str]:
     """The command, if the user allows what it does."""
     chosen, place = preferences_of(context), managed_place()
     words = ["--root", str(place.root), "--wheel", str(managed_wheel())]
-    words += ["--constraints", str(engine.constraints()), "--torch", chosen.torch_build]
+    words += ["--constraints", str(constraints()), "--torch", chosen.torch_build]
     if chosen.wheels:
         folder = Path(bpy.path.abspath(chosen.wheels))
         if not folder.is_dir():
-            raise EngineError(
-                "The folder of wheels {folder} does not exist",
-                "choose another in the add-on's preferences, or empty the field to download",
-                folder=folder,
-            )
-        return engine.worker_command(*words, "--wheels", str(folder), python=engine.base_python())
+            text = "The folder of wheels {folder} does not exist"
+            cure = "choose another in the add-on's preferences, or empty the field to download"
+            raise EngineError(text, cure, folder=folder)
+        return worker_command(*words, "--wheels", str(folder), python=base_python())
     if not bpy.app.online_access:
         raise EngineError(OFFLINE, _RESTART if bpy.app.online_access_override else _ALLOW)
-    return engine.worker_command(*words, "--online", python=engine.base_python())
+    return worker_command(*words, "--online", python=base_python())
 
 
 def _check(context: bpy.types.Context, run: Run) -> None:
@@ -262,7 +226,7 @@ def _check(context: bpy.types.Context, run: Run) -> None:
     except EngineError as error:
         _tell_error(error)
         return
-    task = _Check(Sentence("The check of the engine"))
+    task = _Task(Sentence("The check of the engine"), _checked)
     words = ["selftest", "--json", "--device", context.scene.robir.device]
     command = [str(python), "-P", "-m", "robir", *words]
     _start(run, "check_engine", command, task)

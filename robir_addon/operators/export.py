@@ -10,10 +10,10 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, St
 from bpy_extras.io_utils import ExportHelper
 
 from ..blocks import MARK, only_selected
-from ..errors import RequestError, ResultError
+from ..engine.errors import RequestError, ResultError
 from ..relighting.lights import lamps_of
 from ..result.asset import make_asset
-from ..result.game import dense_copy, level_of, levels_of_detail, reduced
+from ..result.game import dense_copy, level_of, reduced
 from ..result.importer import asset_of, read_cameras
 from ..words import told
 from .shared import (
@@ -29,6 +29,8 @@ from .shared import (
 )
 
 _GAME_FACES, _GAME_SIDE = 10_000, 2048  # triangles, and the textures' longer side
+_SIDES = [(str(s), f"{s} px", f"At most {s} pixels") for s in (512, 1024, 2048, 4096)]
+_FEWEST = 4  # triangles of the coarsest level of detail
 
 
 class _SaveAs(ExportHelper):
@@ -52,13 +54,7 @@ class _SaveAs(ExportHelper):
     texture_side: EnumProperty(
         name="Textures",
         description="Longer side of the textures at most",
-        items=(
-            ("0", "As They Are", "Keep the textures' own size"),
-            *(
-                (str(side), f"{side} px", f"At most {side} pixels")
-                for side in (512, 1024, 2048, 4096)
-            ),
-        ),
+        items=(("0", "As They Are", "Keep the textures' own size"), *_SIDES),
         default="0",
         options={"SKIP_SAVE"},
     )
@@ -90,40 +86,28 @@ class ROBIR_OT_export_glb(_SaveAs, Operator, bpy.types.Operator):
 
     filename_ext = ".glb"
     filter_glob: StringProperty(default="*.glb", options={"HIDDEN"})
-    levels: IntProperty(
-        name="Levels of Detail",
-        description="Files to write, each with a quarter of the faces of the one before",
-        default=1,
-        min=1,
-        max=5,
-        options={"SKIP_SAVE"},
-    )
 
     def work(self, context: bpy.types.Context) -> None:
-        asset = asset_of(result_root(context))
+        asset, target = asset_of(result_root(context)), self.target()
         if asset is not None:
-            levels = levels_of_detail(asset, self.most_faces, self.levels)
-            for level, faces in enumerate(levels):
-                with reduced(asset, faces, int(self.texture_side)):
-                    _write_glb(context.view_layer, asset, self.target(level))
+            with reduced(asset, self.most_faces, int(self.texture_side)):
+                _write_glb(context.view_layer, asset, target)
             text = "Saved {name}, the object as it stands in the scene"
-            if len(levels) > 1:
-                text = (
-                    "Saved {name}, the object as it stands in the scene, and {count} coarser ones"
-                )
-            words = {"name": self.target().name, "count": len(levels) - 1}
-            self.report({"INFO"}, told(text, **words))
+            self.report({"INFO"}, told(text, name=target.name))
             return
-        if self.most_faces or self.texture_side != "0" or self.levels > 1:
+        if self.most_faces or self.texture_side != "0":
             raise ResultError("import the result first; its own file is saved as it is")
         source = result_paths(context).asset
         if not source.is_file():
             raise ResultError("{file} is missing; export the result again", file=source.name)
-        copy_whole(source, self.target())
-        self.report({"INFO"}, told("Saved {name}", name=self.target().name))
+        copy_whole(source, target)
+        self.report({"INFO"}, told("Saved {name}", name=target.name))
 
 
-def _write_glb(layer: bpy.types.ViewLayer, asset: bpy.types.Object, target: Path) -> None:
+def _write_glb(
+    layer: bpy.types.ViewLayer, asset: bpy.types.Object, target: Path, *, has_tangents: bool = False
+) -> None:
+    """Save as GLB; with tangents another program reads a normal map as it was baked."""
     target.parent.mkdir(parents=True, exist_ok=True)
     with only_selected(layer, [asset]):
         bpy.ops.export_scene.gltf(
@@ -131,6 +115,7 @@ def _write_glb(layer: bpy.types.ViewLayer, asset: bpy.types.Object, target: Path
             export_format="GLB",
             use_selection=True,
             export_apply=True,
+            export_tangents=has_tangents,
             export_animations=False,
         )
 
@@ -154,8 +139,7 @@ class ROBIR_OT_export_usd(_SaveAs, Operator, bpy.types.Operator):
         asset = result_asset(context)
         lamps = [lamp for lamp in lamps_of(asset[MARK]) if not lamp.hide_viewport]
         target = self.target()
-        (faces,) = levels_of_detail(asset, self.most_faces, 1)
-        with reduced(asset, faces, int(self.texture_side)):
+        with reduced(asset, self.most_faces, int(self.texture_side)):
             _write_usd(context.view_layer, [asset, *lamps], target)
         text = "Saved {name} with its textures beside it"
         self.report({"INFO"}, told(text, name=target.name))
@@ -224,18 +208,18 @@ class ROBIR_OT_export_game(_SaveAs, Operator, bpy.types.Operator):
         table = read_cameras(result_paths(context))
         side = int(self.texture_side) or _GAME_SIDE
         with dense_copy(asset, table, self.size, is_cleaned=self.is_cleaned) as dense:
-            levels = levels_of_detail(dense, self.most_faces, self.levels, 0.5)
-            for number, faces in enumerate(levels):
-                target = self.target(number)
+            finest = min(self.most_faces or _GAME_FACES, len(dense.data.polygons))
+            for number in range(self.levels):
+                target, faces = self.target(number), max(_FEWEST, round(finest / 2**number))
                 with (
                     level_of(dense, faces, side, target.stem) as level,
                     reduced(level, faces, side),
                 ):
-                    _write_glb(layer, level, target)
+                    _write_glb(layer, level, target, has_tangents=True)
                     if self.is_usd:
                         _write_usd(layer, [level], target.with_suffix(".usdc"))
         text = "Saved {name} and {count} coarser ones, standing at the origin"
-        self.report({"INFO"}, told(text, name=first.name, count=len(levels) - 1))
+        self.report({"INFO"}, told(text, name=first.name, count=self.levels - 1))
 
 
 class ROBIR_OT_export_textures(Operator, bpy.types.Operator):

@@ -8,7 +8,7 @@ import bpy
 from bpy.props import StringProperty
 
 from ..command_line import worker_environment
-from ..errors import RequestError
+from ..engine.errors import RequestError
 from ..gateway import holder, library
 from ..preferences import engine_python
 from ..words import told
@@ -54,11 +54,8 @@ class ROBIR_OT_run_batch(Operator, bpy.types.Operator):
             raise RequestError("no folder of captures was given; choose one")
         pid = holder(paths.lock)
         if pid is not None:
-            raise RequestError(
-                "a batch is at work on {name} already (process {pid})",
-                name=paths.root.name,
-                pid=pid,
-            )
+            text = "a batch is at work on {name} already (process {pid})"
+            raise RequestError(text, name=paths.root.name, pid=pid)
         words = program(engine_python(context))
         try:
             library.start_batch(words, sources, paths, worker_environment())

@@ -8,7 +8,8 @@ from bpy_extras.view3d_utils import region_2d_to_origin_3d, region_2d_to_vector_
 from gpu_extras.batch import batch_for_shader
 from mathutils import Vector
 
-from ..errors import RequestError, ResultError
+from ..blocks import viewports
+from ..engine.errors import RequestError, ResultError
 from ..result.importer import asset_of, read_cameras
 from ..result.known import (
     forget_spot,
@@ -323,7 +324,5 @@ class Ruler:
 
 
 def _redraw() -> None:
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "VIEW_3D":
-                area.tag_redraw()
+    for area in viewports():
+        area.tag_redraw()

@@ -9,8 +9,7 @@ import bpy
 from ..capture import viewport
 from ..capture.photographs import remember
 from ..command_line import worker_environment
-from ..engine import EngineError
-from ..errors import AddonError
+from ..engine.errors import AddonError, EngineError
 from ..gateway import client
 from ..preferences import engine_python
 from ..result.delight import TARGET, mesh_file, target_of
@@ -51,7 +50,20 @@ class WorkerOperator(Operator):
         root = self._start(context)
         if root is None:
             return {"CANCELLED"}
-        return _waited(self, context, root)
+        snapshot = monitor.wait_job(root)
+        for warning in snapshot.warnings:
+            self.report({"WARNING"}, warning)
+        sentence = in_panel_words(snapshot.message)
+        if snapshot.state != "done":
+            kind = "WARNING" if snapshot.state == "cancelled" else "ERROR"
+            self.report({kind}, sentence)
+            return {"CANCELLED"}
+        problem = context.window_manager.robir.error
+        if problem:  # it is done, but could not be imported
+            self.report({"ERROR"}, problem)
+            return {"CANCELLED"}
+        self.report({"INFO"}, sentence)
+        return {"FINISHED"}
 
     def _start(self, context: bpy.types.Context) -> Path | None:
         """Result folder of a worker that was started; None where it was not."""
@@ -106,7 +118,9 @@ class ROBIR_OT_delight(WorkerOperator, bpy.types.Operator):
 
 
 class ROBIR_OT_cancel_reconstruct(Operator, bpy.types.Operator):
-    """Stop the work at hand; finished stages of a reconstruction are kept."""
+    """Stop the work at hand; finished stages of a reconstruction are kept, and an installation
+    goes on where it was stopped.
+    """
 
     bl_label = "Cancel"
     bl_options = {"REGISTER"}
@@ -127,24 +141,6 @@ class ROBIR_OT_cancel_reconstruct(Operator, bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         monitor.cancel()
         return {"FINISHED"}
-
-
-def _waited(operator: bpy.types.Operator, context: bpy.types.Context, root: Path) -> set[str]:
-    """Follow a job to its end and say how it ended."""
-    snapshot = monitor.wait_job(root)
-    for warning in snapshot.warnings:
-        operator.report({"WARNING"}, warning)
-    sentence = in_panel_words(snapshot.message)
-    if snapshot.state != "done":
-        kind = "WARNING" if snapshot.state == "cancelled" else "ERROR"
-        operator.report({kind}, sentence)
-        return {"CANCELLED"}
-    problem = context.window_manager.robir.error
-    if problem:  # it is done, but could not be imported
-        operator.report({"ERROR"}, problem)
-        return {"CANCELLED"}
-    operator.report({"INFO"}, sentence)
-    return {"FINISHED"}
 
 
 def _bring_in(root: Path) -> None:

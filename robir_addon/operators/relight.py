@@ -11,8 +11,7 @@ from bpy.props import StringProperty
 from bpy_extras.io_utils import ImportHelper
 
 from ..child import blender_command
-from ..engine import Sentence
-from ..errors import AddonError, RequestError
+from ..engine.errors import AddonError, RequestError, Sentence
 from ..relighting.lights import choose_light, environment_file, shows_recovered_light, world_of
 from ..result.compositing import clear_stage, set_stage
 from ..result.importer import mark_of, read_cameras
@@ -30,12 +29,6 @@ class ROBIR_OT_use_environment(Operator, bpy.types.Operator, ImportHelper):
     bl_label = "Environment File"
     needs = (is_imported,)
 
-    filepath: StringProperty(
-        name="File",
-        description="Lat-long image",
-        subtype="FILE_PATH",
-        options={"HIDDEN", "SKIP_SAVE"},
-    )
     filter_glob: StringProperty(default="*.exr;*.hdr", options={"HIDDEN"})
 
     def work(self, context: bpy.types.Context) -> None:

@@ -11,9 +11,9 @@ import bpy
 from ..blocks import MARK, select_alone
 from ..capture.viewport import bring_back
 from ..child import own_folder
-from ..errors import ResultError
+from ..engine.errors import ResultError
 from ..relighting.lights import choose_light, world_of
-from ..relighting.view_transform import match_view_transform
+from ..relighting.rendering import match_view_transform
 from ..result.compositing import hide_few_views, show_few_views
 from ..result.delight import give_back, target_of
 from ..result.importer import (
@@ -64,7 +64,7 @@ class ROBIR_OT_import_result(Operator, bpy.types.Operator):
         if not folder:
             raise ResultError("no folder was given; choose one that `robir reconstruct` finished")
         root = Path(bpy.path.abspath(folder)).absolute()
-        if _is_edited(root):
+        if is_edited(asset_of(root)):
             raise ResultError(
                 "the object's mesh was edited and would be lost; press Refresh Result to have it "
                 "replaced"
@@ -79,7 +79,7 @@ class ROBIR_OT_refresh_result(Operator, bpy.types.Operator):
     needs = (is_imported, in_object_mode)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        if not _is_edited(result_root(context)):
+        if not is_edited(asset_of(result_root(context))):
             return self.execute(context)
         return context.window_manager.invoke_confirm(
             self,
@@ -92,11 +92,6 @@ class ROBIR_OT_refresh_result(Operator, bpy.types.Operator):
 
     def work(self, context: bpy.types.Context) -> None:
         bring_in_result(self, context, result_root(context))
-
-
-def _is_edited(root: Path) -> bool:
-    asset = asset_of(root)
-    return asset is not None and is_edited(asset)
 
 
 def bring_in_result(operator: bpy.types.Operator, context: bpy.types.Context, root: Path) -> None:

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 import bpy
 from bpy.props import StringProperty
 
-from ..engine import EngineError
-from ..errors import AddonError, ResultError
+from ..engine.errors import AddonError, EngineError, ResultError
 from ..gateway import JobPaths
 from ..preferences import engine_status
 from ..relighting.lights import world_of
@@ -63,10 +62,7 @@ class Operator(_MixedIn):
         raise NotImplementedError
 
     def refuse(self, context: bpy.types.Context, sentence: str) -> set[str]:
-        """Say why nothing was done, in the panel; where that is not seen, in a pop-up.
-
-        A pop-up beside the panel would say it twice, and take the next click.
-        """
+        """Say why nothing was done, in the panel; where that is not seen, in a pop-up."""
         monitor.show_problem(sentence)
         refused(self, context, sentence)
         return {"CANCELLED"}

@@ -24,7 +24,7 @@ _IN_ORDER = (
     ("compare", "compare_next", "show_few_views", "match_view_transform"),
     ("use_environment", "picture_lights", "into_photograph", "turntable"),
     ("export_game", "export_glb", "export_usd", "export_textures", "mark_asset"),
-    ("install_engine", "cancel_install", "check_engine", "remove_engine"),
+    ("install_engine", "check_engine", "remove_engine"),
     ("open_report", "copy_report", "dismiss", "allow_online"),
 )
 

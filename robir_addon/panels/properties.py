@@ -21,7 +21,7 @@ from bpy.props import (
 )
 
 from ..blocks import MARK, select_alone
-from ..errors import AddonError
+from ..engine.errors import AddonError
 from ..operators.compare import draw_again
 from ..relighting.lights import (
     RECOVERED,
@@ -46,16 +46,7 @@ def _folder(name: str, description: str) -> Any:
 class ROBIR_PG_finding(bpy.types.PropertyGroup):
     """One finding of the check of a capture."""
 
-    level: EnumProperty(
-        name="Level",
-        description="How much the finding matters",
-        items=(
-            ("error", "Error", "The capture cannot be used as it is"),
-            ("warning", "Warning", "The result will be worse than it could be"),
-            ("note", "Note", "Good to know"),
-        ),
-        default="note",
-    )
+    level: StringProperty(name="Level", description="error, warning or note")
     text: StringProperty(name="Finding", description="What was found and where")
     cure: StringProperty(name="Cure", description="What to do about it")
     code: StringProperty(name="Code", description="Short name of this kind of finding")

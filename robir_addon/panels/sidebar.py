@@ -13,12 +13,22 @@ from ..capture.photographs import draw_photographs, recent_captures
 from ..capture.viewport import COLLECTION, GAP, GAPS
 from ..engine import CAN_INSTALL
 from ..operators.capture import can_leave_out
+from ..operators.engine import has_notice, is_offline
 from ..operators.result import is_sample
-from ..paragraphs import Panel, ResultPanel, big, paragraph, preferences_button, progress, split
-from ..preferences import install_text
+from ..paragraphs import (
+    Panel,
+    ResultPanel,
+    advice,
+    big,
+    paragraph,
+    preferences_button,
+    progress,
+    split,
+)
+from ..preferences import draw_engine, install_text, shown_engine_status
 from ..relighting.lights import light_pictures, strength_of
 from ..result.summary import shown_summary
-from ..words import words
+from ..words import told, words
 from ..work import batch, growth
 from ..work.worker import shown_box
 
@@ -32,6 +42,59 @@ _STAGES = {
     "appearance": "Light and materials",
     "export": "Files and report",
 }
+
+
+class ROBIR_PT_notice(Panel, bpy.types.Panel):
+    """What went wrong last, or what came of the last work, above everything else."""
+
+    bl_label = "Notice"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        state = context.window_manager.robir
+        status = shown_engine_status(context)
+        is_below = status.state != "ready" and state.error == told(status.text)
+        if is_below or (is_offline(state) and bpy.app.online_access):
+            return False
+        return has_notice(state)
+
+    def draw_header_preset(self, context: bpy.types.Context) -> None:
+        self.layout.operator("robir.dismiss", text="", icon="X", emboss=False)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        state, layout = context.window_manager.robir, self.layout
+        if not state.error:
+            paragraph(layout, context, state.message, "INFO")
+            return
+        # in the theme's own colour of text: its red for alerts cannot be read on every background
+        advice(layout, context, state.error, state.error_cure, "ERROR")
+        if is_offline(state):
+            layout.operator("robir.allow_online", icon="URL")
+        layout.operator("robir.copy_report", icon="COPYDOWN")
+
+
+class ROBIR_PT_no_engine(Panel, bpy.types.Panel):
+    """The way to an engine, above the work that needs one."""
+
+    bl_label = "Engine Needed"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        at_work = context.window_manager.robir.task == "install"
+        is_asked = at_work or context.scene.robir.capture or not context.scene.robir.result
+        return bool(is_asked) and shown_engine_status(context).state != "ready"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        status, box = shown_engine_status(context), self.layout.box()
+        if context.window_manager.robir.task == "install":
+            box.label(text="Installing the engine", icon="IMPORT")
+            progress(box, context)
+            return
+        advice(box, context, told(status.text), told(status.cure), "INFO")
+        row = box.row(align=True)
+        if CAN_INSTALL:
+            row.operator("robir.install_engine", text=install_text(context), icon="IMPORT")
+        preferences_button(row, text="" if CAN_INSTALL else words("Preferences"))
 
 
 class ROBIR_PT_capture(Panel, bpy.types.Panel):
@@ -119,9 +182,7 @@ def _draw_check(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
         layout.label(text="No faults found", icon="CHECKMARK")
     for fault in faults:
         box = layout.box()
-        paragraph(box, context, fault.text, _FAULT_ICONS[fault.level], is_boxed=True)
-        if fault.cure:
-            paragraph(box, context, fault.cure, "BLANK1", is_boxed=True).active = False
+        advice(box, context, fault.text, fault.cure, _FAULT_ICONS[fault.level])
         gaps = bpy.data.collections.get(GAPS)
         if fault.code == GAP and gaps is not None:
             box.prop(gaps, "hide_viewport", text="Show Missing Sides", invert_checkbox=True)
@@ -145,13 +206,10 @@ class ROBIR_PT_reconstruct(Panel, bpy.types.Panel):
         return at_work or (bool(context.scene.robir.capture) and not _is_over(context))
 
     def draw(self, context: bpy.types.Context) -> None:
-        if context.window_manager.robir.task == "reconstruct":
-            self._draw_running(context)
-        else:
-            _draw_choices(self.layout, context)
-
-    def _draw_running(self, context: bpy.types.Context) -> None:
         state, layout = context.window_manager.robir, self.layout
+        if state.task != "reconstruct":
+            _draw_choices(layout, context)
+            return
         if state.stage:
             layout.label(text=_STAGES.get(state.stage, state.stage.capitalize()))
         progress(layout, context)
@@ -314,18 +372,8 @@ class ROBIR_PT_engine(Panel, bpy.types.Panel):
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
-        layout, state = self.layout, context.window_manager.robir
-        if state.engine_text:
-            icon = "CHECKMARK" if state.engine_ok else "ERROR"
-            paragraph(layout, context, state.engine_text, icon)
-        if state.task in ("install", "check_engine", "remove_engine"):
-            progress(layout, context)
-        column = layout.column(align=True)
-        column.operator("robir.check_engine", icon="CHECKMARK")
-        if CAN_INSTALL:
-            column.operator("robir.install_engine", text=install_text(context), icon="IMPORT")
-            column.operator("robir.remove_engine", icon="TRASH")
-        preferences_button(layout, text=words("Preferences"))
+        draw_engine(self.layout, context)
+        preferences_button(self.layout, text=words("Preferences"))
 
 
 def _is_over(context: bpy.types.Context) -> bool:

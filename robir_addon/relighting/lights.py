@@ -17,8 +17,7 @@ import bpy.utils.previews
 from mathutils import Quaternion, Vector
 
 from ..blocks import MARK, enable_nodes, load_image, reload_image, with_mark
-from ..engine import Sentence
-from ..errors import RequestError, ResultError
+from ..engine.errors import RequestError, ResultError, Sentence
 from ..gateway import JobPaths
 from ..words import words
 
@@ -60,10 +59,7 @@ def add_lamps(lamps: list[dict[str, Any]], name: str, mark: str) -> list[bpy.typ
 
 
 def make_world(name: str, paths: JobPaths, mark: str) -> bpy.types.World:
-    """The World of a result, made anew or emptied; `show_recovered_light` fills it.
-
-    Both images of the recovered light are kept by the World, so that a saved file has them.
-    """
+    """The World of a result, without its light, but with both images, so that a file has them."""
     known = with_mark(bpy.data.worlds, mark)
     world = known[0] if known else bpy.data.worlds.new(name)
     world[MARK] = mark
@@ -113,11 +109,6 @@ def _forget_sun(world: bpy.types.World) -> None:
     del world[_WITHOUT_SUN]
 
 
-def are_lit(lamps: list[bpy.types.Object]) -> bool:
-    """Whether one of the lamps shines."""
-    return any(not lamp.hide_render for lamp in lamps)
-
-
 def light_lamps(scene: bpy.types.Scene, mark: str, lit: bool) -> None:
     """Light or hide a result's lamps; those of other results in the scene are hidden."""
     for lamp in [o for o in scene.objects if _TOWARDS in o and MARK in o]:
@@ -157,11 +148,8 @@ def found_environment(given: Path) -> Path:
     """The file, or one of the maps that Blender ships where only a name such as `city` is given."""
     if given.is_file():
         if given.suffix.lower() not in (".exr", ".hdr"):
-            raise RequestError(
-                "{file} is of an unknown kind, {kind}; use .exr or .hdr",
-                file=given,
-                kind=repr(given.suffix),
-            )
+            text = "{file} is of an unknown kind, {kind}; use .exr or .hdr"
+            raise RequestError(text, file=given, kind=repr(given.suffix))
         return given.resolve()
     folder = Path(bpy.utils.system_resource("DATAFILES", path="studiolights/world"))
     shipped = folder / f"{given}.exr"
@@ -190,9 +178,8 @@ def shown_light(scene: bpy.types.Scene) -> str:
     if world is None or MARK not in world or shows_recovered_light(world):
         return ""
     pictures = (n.image for n in world.node_tree.nodes if n.type == "TEX_ENVIRONMENT")
-    file = next((Path(bpy.path.abspath(i.filepath)) for i in pictures if i is not None), Path())
-    shipped = file.stem if "studiolights" in file.parts else str(file)
-    return shipped if file.name else ""
+    file = Path(next((bpy.path.abspath(i.filepath) for i in pictures if i is not None), ""))
+    return file.stem if "studiolights" in file.parts else str(file) * bool(file.name)
 
 
 def choose_light(scene: bpy.types.Scene, world: bpy.types.World, light: str) -> None:

@@ -10,13 +10,12 @@ import numpy as np
 
 from ..blocks import MARK
 from ..gateway import JobPaths, __version__
-from .comparison import rendered_view
 from .importer import read_cameras, read_run
-
-PREVIEW_SIDE = 256
+from .pictures import compare, one_of
 
 # where Blender's AssetMetaData holds the catalogue's number; its short name follows
 _CATALOGUE_AT = 2 * ctypes.sizeof(ctypes.c_void_p)
+_MOST_SIDE = 256  # of the preview, pixels
 _SIMPLE_NAME = "Reconstructed by RobIR"
 _SIMPLE_NAME_BYTES = 64
 
@@ -25,7 +24,9 @@ def make_asset(asset: bpy.types.Object, paths: JobPaths, *, is_packed: bool = Tr
     """Mark an object as an asset, with what is known of it and a picture; saves nothing."""
     run = read_run(paths)
     table = read_cameras(paths)
-    picture = preview_codes(rendered_view(paths, table).picture)
+    picture = one_of(compare(paths)[1], 1)
+    step = -(-len(picture) // _MOST_SIDE)
+    picture = picture[::step, ::step]
     asset.asset_mark()
     data = asset.asset_data
     data.description = (
@@ -74,21 +75,3 @@ def leave_machine(paths: JobPaths, mark: str | None) -> None:
     for image in bpy.data.images:
         for file in image.packed_files:
             file.filepath = f"//{os.path.relpath(file.filepath, paths.export)}"
-
-
-def preview_codes(picture: np.ndarray) -> np.ndarray:
-    """A square picture (256, 256, 4) of the object in another picture, transparent about it."""
-    rows, columns = (np.nonzero((picture[..., 3] > 0).any(axis=axis))[0] for axis in (1, 0))
-    if len(rows) == 0:
-        rows, columns = (np.arange(side) for side in picture.shape[:2])
-    middle = 0.5 * np.array([rows[0] + rows[-1], columns[0] + columns[-1]])
-    side = 1.05 * max(np.ptp(rows) + 1, np.ptp(columns) + 1)
-    steps = ((np.arange(PREVIEW_SIDE) + 0.5) / PREVIEW_SIDE - 0.5) * side
-    row, column = (np.round(centre + steps).astype(int) for centre in middle)
-    inside = np.outer(
-        (row >= 0) & (row < picture.shape[0]), (column >= 0) & (column < picture.shape[1])
-    )
-    last = np.array(picture.shape[:2]) - 1
-    shown = picture[np.clip(row, 0, last[0])][:, np.clip(column, 0, last[1])].copy()
-    shown[~inside] = 0.0
-    return shown

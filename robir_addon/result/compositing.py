@@ -8,9 +8,9 @@ from typing import Any
 import bpy
 from mathutils import Vector
 
-from ..blocks import MARK, are_there, enable_nodes, load_image, with_mark
+from ..blocks import MARK, are_there, enable_nodes, load_image, viewports, with_mark
 from ..capture.cameras import capture_cameras, use_camera
-from ..errors import ResultError
+from ..engine.errors import ResultError
 from .placing import middle_of_foot
 
 # custom property of the ground: whether the film was transparent before
@@ -42,10 +42,8 @@ def set_stage(
     use_camera(scene, camera)
     for photo in camera.data.background_images:
         photo.display_depth = "BACK"
-    for window in context.window_manager.windows:
-        for area in window.screen.areas if window.scene == scene else ():
-            if area.type == "VIEW_3D":
-                area.spaces.active.region_3d.view_perspective = "CAMERA"
+    for area in viewports(scene):
+        area.spaces.active.region_3d.view_perspective = "CAMERA"
 
 
 def clear_stage(scene: bpy.types.Scene, mark: str) -> bool:
@@ -72,10 +70,7 @@ def stops(photographs: int) -> list[tuple[float, tuple[float, ...]]]:
 
 
 def show_few_views(asset: bpy.types.Object, coverage: Path, photographs: int, mark: str) -> None:
-    """Lay the tint over an object, whose place and mesh it shares.
-
-    `coverage` is the texture of the share of the photographs that see each texel.
-    """
+    """Lay the tint over an object; `coverage` is the share of photographs that see each texel."""
     if not are_there(coverage):
         raise ResultError("{file} is missing; export the result again", file=coverage.name)
     over = bpy.data.objects.new(f"{asset.name} few views", asset.data)

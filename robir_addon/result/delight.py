@@ -12,8 +12,8 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ..blocks import with_mark
-from ..errors import RequestError, ResultError
+from ..blocks import numbers_of, with_mark
+from ..engine.errors import RequestError, ResultError
 from ..gateway import JobPaths, read_record, replacing
 from ..words import told
 from .glb import read_glb
@@ -68,20 +68,14 @@ def _corners(target: bpy.types.Object) -> tuple[np.ndarray, np.ndarray | None]:
     mesh = shown.to_mesh()
     try:
         mesh.calc_loop_triangles()
-        loops = np.empty(3 * len(mesh.loop_triangles), np.int32)
-        mesh.loop_triangles.foreach_get("loops", loops)
-        vertices = np.empty(3 * len(mesh.vertices), np.float32)
-        mesh.vertices.foreach_get("co", vertices)
-        of_loop = np.empty(len(mesh.loops), np.int32)
-        mesh.loops.foreach_get("vertex_index", of_loop)
-        world = np.array(target.matrix_world)
-        points = vertices.reshape(-1, 3)[of_loop[loops]] @ world[:3, :3].T + world[:3, 3]
+        loops = numbers_of(mesh.loop_triangles, "loops", 3, np.int32).ravel()
+        of_loop = numbers_of(mesh.loops, "vertex_index", kind=np.int32).ravel()
+        vertices, world = numbers_of(mesh.vertices, "co", 3), np.array(target.matrix_world)
+        points = vertices[of_loop[loops]] @ world[:3, :3].T + world[:3, 3]
         layer = next((layer for layer in mesh.uv_layers if layer.active_render), None)
         if layer is None:
             return points, None
-        uvs = np.empty(2 * len(mesh.loops), np.float32)
-        layer.uv.foreach_get("vector", uvs)
-        return points, uvs.reshape(-1, 2)[loops]
+        return points, numbers_of(layer.uv, "vector", 2)[loops]
     finally:
         shown.to_mesh_clear()
 
@@ -134,8 +128,7 @@ def give_back(context: bpy.types.Context, root: Path) -> list[str]:
 def _show(mesh: bpy.types.Mesh, material: bpy.types.Material) -> None:
     """Give all faces a material in a slot of its own; the slots they had are remembered."""
     if material.name not in mesh.materials:
-        slots = np.zeros(len(mesh.polygons), np.int32)
-        mesh.polygons.foreach_get("material_index", slots)
+        slots = numbers_of(mesh.polygons, "material_index", kind=np.int32).ravel()
         before = mesh.attributes.get(_BEFORE) or mesh.attributes.new(_BEFORE, "INT", "FACE")
         before.data.foreach_set("value", slots)
         if not len(mesh.materials):

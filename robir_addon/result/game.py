@@ -13,7 +13,7 @@ import numpy as np
 from mathutils import Matrix
 
 from ..blocks import MARK, only_selected
-from ..errors import ResultError
+from ..engine.errors import ResultError
 from .placing import GROUND_SHARE, crumbs, delete_faces, faces_of_ground, middle_of_foot, points_of
 
 _CAGE = 0.3  # how far from the coarse surface the fine one is looked for, widths of a triangle
@@ -24,10 +24,7 @@ _MARGIN = 8  # texels that the normal map goes on beyond its charts
 def dense_copy(
     asset: bpy.types.Object, table: Mapping[str, Any], size: float, *, is_cleaned: bool
 ) -> Iterator[bpy.types.Object]:
-    """A copy that stands at the origin without a transform, so long (0: as it is), in the scene.
-
-    Where it is cleaned, the ground of cameras.json is gone, and what then hangs on nothing.
-    """
+    """A copy without transform at the origin, so long (0: as it is), without ground and crumbs."""
     copy = asset.copy()
     copy.data = asset.data.copy()
     meshes = [copy.data]
@@ -79,7 +76,11 @@ def level_of(
         bumps.pack()
         data.transform(Matrix.Translation((0.0, 0.0, -middle_of_foot(level).z)))
         for material, texture in zip(materials, textures, strict=True):
-            _connect(material, texture)
+            nodes, links = material.node_tree.nodes, material.node_tree.links
+            tangent = nodes.new("ShaderNodeNormalMap")
+            links.new(texture.outputs["Color"], tangent.inputs["Color"])
+            for shader in [n for n in nodes if n.type == "BSDF_PRINCIPLED"]:
+                links.new(tangent.outputs["Normal"], shader.inputs["Normal"])
         yield level
     finally:
         bpy.data.batch_remove([level, data, *materials, bumps])
@@ -102,14 +103,6 @@ def _evaluated(shown: bpy.types.Object) -> bpy.types.Mesh:
     )
 
 
-def _connect(material: bpy.types.Material, texture: bpy.types.Node) -> None:
-    nodes, links = material.node_tree.nodes, material.node_tree.links
-    tangent = nodes.new("ShaderNodeNormalMap")
-    links.new(texture.outputs["Color"], tangent.inputs["Color"])
-    for shader in [n for n in nodes if n.type == "BSDF_PRINCIPLED"]:
-        links.new(tangent.outputs["Normal"], shader.inputs["Normal"])
-
-
 def _bake(dense: bpy.types.Object, level: bpy.types.Object) -> None:
     scene, layer = bpy.context.scene, bpy.context.view_layer
     engine, samples = scene.render.engine, scene.cycles.samples
@@ -130,25 +123,12 @@ def _bake(dense: bpy.types.Object, level: bpy.types.Object) -> None:
         scene.render.engine, scene.cycles.samples = engine, samples
 
 
-_STEP = 0.25  # faces of a level of detail as a share of the one before
-_FEWEST = 4
-
-
-def levels_of_detail(
-    asset: bpy.types.Object, most_faces: int, count: int, step: float = _STEP
-) -> list[int]:
-    """Faces of each level, the finest first; each has a share of those of the one before."""
-    faces = len(asset.data.polygons)
-    finest = min(faces, most_faces) if most_faces else faces
-    return [max(_FEWEST, round(finest * step**level)) for level in range(count)]
-
-
 @contextmanager
 def reduced(asset: bpy.types.Object, faces: int, side: int) -> Iterator[None]:
     """Give the object at most so many faces, textures such a side (0: any), and take it back."""
     before = len(asset.data.polygons)
     modifier = None
-    if faces < before:
+    if 0 < faces < before:
         modifier = asset.modifiers.new("RobIR faces", "DECIMATE")
         modifier.ratio = faces / before
     swapped = _smaller_textures(asset, side) if side else []

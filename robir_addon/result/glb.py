@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import ResultError
+from ..engine.errors import ResultError
 
 # what reading a damaged asset raises
 _DAMAGE = (
@@ -49,28 +49,22 @@ def read_glb(path: Path) -> GlbMesh:
         specular = float(extensions.get("KHR_materials_specular", {}).get("specularFactor", 1.0))
         name = str(mesh["name"])
     except _DAMAGE as fault:
-        raise ResultError(
+        text = (
             "{file} cannot be read as RobIR's asset ({fault}); run `robir reconstruct` with "
-            "--resume to export it again",
-            file=path,
-            fault=fault,
-        ) from fault
+            "--resume to export it again"
+        )
+        raise ResultError(text, file=path, fault=fault) from fault
+    place = np.maximum(tiles - _TILES.start, 0)  # where each tile begins; 0 where there are none
     vertices, welded = np.unique(places.reshape(-1, 3), axis=0, return_inverse=True)
     return GlbMesh(
         name=name,
         vertices=vertices,
         faces=welded.reshape(-1, 3).astype(np.int32),
         corner_normals=normals,
-        corner_uvs=uvs + corners_of(tiles)[:, None],
+        corner_uvs=uvs + np.stack([place % 10, place // 10], axis=-1).astype(np.float32)[:, None],
         tiles=tiles,
         specular=specular,
     )
-
-
-def corners_of(tiles: np.ndarray) -> np.ndarray:
-    """Where (N, 2) tiles of some numbers (N,) begin; at 0 where there are none."""
-    index = np.maximum(tiles - _TILES.start, 0)
-    return np.stack([index % 10, index // 10], axis=-1).astype(np.float32)
 
 
 def _part(
@@ -81,7 +75,10 @@ def _part(
         name: _array(document, binary, index) for name, index in primitive["attributes"].items()
     }
     corners = _array(document, binary, primitive["indices"]).reshape(-1, 3)
-    _check(arrays, corners)
+    count = len(arrays["POSITION"])
+    lengths = {len(arrays[key]) for key in ("NORMAL", "TEXCOORD_0")}
+    if lengths != {count} or not len(corners) or corners.max() >= count:
+        raise ValueError("its vertices do not fit together")
     extras = document["materials"][primitive["material"]].get("extras", {})
     tile = extras.get("udim", 0)
     if tile and tile not in _TILES:
@@ -93,14 +90,6 @@ def _part(
         np.stack([uv[..., 0], 1.0 - uv[..., 1]], axis=-1),
         np.full(len(corners), tile, np.int64),
     )
-
-
-def _check(arrays: dict[str, np.ndarray], corners: np.ndarray) -> None:
-    """Refuse arrays of unlike length, and corners that are not there."""
-    count = len(arrays["POSITION"])
-    lengths = {len(arrays[key]) for key in ("NORMAL", "TEXCOORD_0")}
-    if lengths != {count} or not len(corners) or corners.max() >= count:
-        raise ValueError("its vertices do not fit together")
 
 
 def _chunks(content: bytes) -> tuple[dict[str, Any], memoryview]:

@@ -16,14 +16,13 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
-from ..blocks import MARK, are_there, remove_marked, select_alone, with_mark
+from ..blocks import MARK, are_there, remove_marked, select_alone, viewports, with_mark
 from ..capture.cameras import VIEW, add_camera, use_camera
 from ..capture.viewport import frame, put_aside
-from ..errors import ResultError
+from ..engine.errors import ResultError
 from ..gateway import CAMERA, NUMBERS, JobPaths, file_in, leads_out, read_record, special_fault
 from ..relighting.lights import (
     add_lamps,
-    are_lit,
     give_back_world,
     lamps_of,
     light_lamps,
@@ -34,7 +33,7 @@ from ..relighting.lights import (
     turn_light,
     world_of,
 )
-from ..relighting.view_transform import view_name, view_transform_differs
+from ..relighting.rendering import view_name, view_transform_differs
 from ..words import told
 from .compositing import hide_few_views
 from .glb import GlbMesh, read_glb
@@ -49,7 +48,7 @@ _CAMERAS = {
     "ground?": {"normal": NUMBERS, "offset": float},
 }
 _LAMP = {"irradiance": NUMBERS, "direction": NUMBERS, "angular_diameter": float}
-_LIGHT = {"sun_lamps?": [_LAMP]}
+_LIGHT = {"sun_lamps": [_LAMP]}
 _TONE_CURVE = {
     "family": str,
     "exposure": float,
@@ -63,7 +62,6 @@ _RUN = {"preset": str, "device": str, "seed": int}
 class Imported:
     """What an import made: the light's suns are hidden where the environment holds them."""
 
-    collection: bpy.types.Collection
     asset: bpy.types.Object
     cameras: dict[str, bpy.types.Object]
     lamps: list[bpy.types.Object]
@@ -78,36 +76,52 @@ def mark_of(root: Path) -> str:
 def import_result(root: Path, scene: bpy.types.Scene, *, use_sun_lamp: bool = True) -> Imported:
     """Import a finished result folder; view transform and camera of the scene stay as they are.
 
-    A recovered sun is a lamp, or part of the environment. After an error nothing has changed.
+    A recovered sun is a lamp, or part of the environment. After an error nothing has changed. Of a
+    result that is there, what the worker made is replaced: the object keeps its name, place,
+    modifiers, collections and material, the scene its camera and light, however that is turned.
     """
     paths, table, suns = _opened(root)
     mark, name, views = mark_of(root), paths.root.name, table["views"]
     mesh = read_glb(paths.asset)
-    before, world = asset_of(root), world_of(mark)
-    if before is not None and world is not None:
-        return _refresh(paths, scene, (table, suns, mesh), use_sun_lamp)
-    _remove_objects(mark)
+    asset, world = asset_of(root), world_of(mark)
+    is_new = asset is None or world is None
+    were_lit, chosen = any(not lamp.hide_render for lamp in lamps_of(mark)), None
+    if scene.camera is not None and scene.camera.get(MARK) == mark:
+        chosen = scene.camera.get(VIEW)
+    if is_new:
+        _remove_objects(mark)
+        asset = add_asset(mesh, name, paths, mark)
+    else:
+        _refresh(asset, world, mesh, paths, table)
     collection = _collection(name, "result", mark, scene.collection)
     stands = _collection(f"{name} cameras", "cameras", mark, collection)
-    asset = add_asset(mesh, name, paths, mark)
-    collection.objects.link(asset)
     lamps = _add_lamps(suns, paths, table["bounds"], collection)
     cameras = _add_cameras(paths, table, stands)
-    world = make_world(name, paths, mark)
-    show_recovered_light(scene, world, use_sun_lamp)
-    turn_light(scene, 0.0)
-    if scene.camera is None:
-        first = next((v["name"] for v in views if v["split"] == "held_out"), views[0]["name"])
-        use_camera(scene, cameras[first])
-    return Imported(collection, asset, cameras, lamps, world)
+    if is_new:
+        collection.objects.link(asset)
+        world = make_world(name, paths, mark)
+        show_recovered_light(scene, world, use_sun_lamp)
+        turn_light(scene, 0.0)
+        if scene.camera is None:
+            first = next((v["name"] for v in views if v["split"] == "held_out"), views[0]["name"])
+            use_camera(scene, cameras[first])
+        return Imported(asset, cameras, lamps, world)
+    move_again(asset, [*cameras.values(), *lamps])
+    if chosen in cameras:
+        scene.camera = cameras[chosen]
+    if scene.world == world and shows_recovered_light(world):
+        show_recovered_light(scene, world, use_sun_lamp)
+    else:
+        light_lamps(scene, mark, were_lit)
+    return Imported(asset, cameras, lamps, world)
 
 
 def _opened(root: Path) -> tuple[JobPaths, dict[str, Any], list[dict[str, Any]]]:
-    """Names of a whole result's files, its cameras and suns; results of before lamps have none."""
+    """Names of a whole result's files, its cameras and suns."""
     paths = JobPaths(Path(mark_of(root)))
     if fault := special_fault(paths.root):  # Blender would wait for ever where it opens a pipe
         raise ResultError(fault)
-    table, suns = read_cameras(paths), _read(paths.light, _LIGHT).get("sun_lamps", [])
+    table, suns = read_cameras(paths), _read(paths.light, _LIGHT)["sun_lamps"]
     for file in (paths.environment, *(file for file, _, _ in texture_sockets(paths))):
         if not are_there(file):
             raise ResultError("{file} is missing; export the result again", file=file)
@@ -131,43 +145,23 @@ def import_light(root: Path, scene: bpy.types.Scene, *, use_sun_lamp: bool) -> N
 
 
 def _refresh(
+    asset: bpy.types.Object,
+    world: bpy.types.World,
+    mesh: GlbMesh,
     paths: JobPaths,
-    scene: bpy.types.Scene,
-    read: tuple[dict[str, Any], list[dict[str, Any]], GlbMesh],
-    use_sun_lamp: bool,
-) -> Imported:
-    """Replace what the worker made, and keep what the user has done with it.
-
-    The object keeps its name, place, modifiers, collections and material; the scene its camera and
-    its light, however that is turned.
-    """
-    table, suns, mesh = read
-    mark = mark_of(paths.root)
-    asset, world = asset_of(paths.root), world_of(mark)
+    table: dict[str, Any],
+) -> None:
+    """Replace mesh, pictures and light that are there; take cameras and lamps out."""
+    mark = asset[MARK]
     hide_few_views(mark)
     refresh_asset(asset, mesh, paths)
     drop_again(asset, table.get("ground"))
     mark_as_imported(asset)
     refresh_world(world, paths)
-    were_lit = are_lit(lamps_of(mark))
-    chosen = scene.camera.get(VIEW) if scene.camera and scene.camera.get(MARK) == mark else None
     others = [o for o in with_mark(bpy.data.objects, mark) if o.type in ("CAMERA", "LIGHT")]
     bpy.data.batch_remove(others)
     remove_marked(mark, bpy.data.cameras, bpy.data.lights)
     bpy.data.batch_remove([i for i in with_mark(bpy.data.images, mark) if not i.users])
-    name = paths.root.name
-    collection = _collection(name, "result", mark, scene.collection)
-    stands = _collection(f"{name} cameras", "cameras", mark, collection)
-    lamps = _add_lamps(suns, paths, table["bounds"], collection)
-    cameras = _add_cameras(paths, table, stands)
-    move_again(asset, [*cameras.values(), *lamps])
-    if chosen in cameras:
-        scene.camera = cameras[chosen]
-    if scene.world == world and shows_recovered_light(world):
-        show_recovered_light(scene, world, use_sun_lamp)
-    else:
-        light_lamps(scene, mark, were_lit)
-    return Imported(collection, asset, cameras, lamps, world)
 
 
 def _add_lamps(
@@ -228,10 +222,7 @@ def active_result(context: bpy.types.Context) -> str:
 
 
 def read_cameras(paths: JobPaths) -> dict[str, Any]:
-    """Contents of cameras.json: "views" with fit names and pictures of the result's own, "bounds".
-
-    Where the mesh shows flat ground, also "ground".
-    """
+    """Contents of cameras.json: "views" with fit names and pictures, "bounds", "ground" if any."""
     table = _read(paths.cameras, _CAMERAS)
     for view in table["views"]:
         try:
@@ -252,7 +243,7 @@ def read_cameras(paths: JobPaths) -> dict[str, Any]:
 
 def read_tone_curve(paths: JobPaths) -> dict[str, Any]:
     """Contents of tone_curve.json, as far as Blender is concerned."""
-    return _read(paths.tone_curve, _TONE_CURVE)
+    return {"blender_gamma": 1.0} | _read(paths.tone_curve, _TONE_CURVE)
 
 
 def read_run(paths: JobPaths) -> dict[str, Any]:
@@ -265,11 +256,8 @@ def _read(path: Path, form: dict[str, Any]) -> dict[str, Any]:
     try:
         return read_record(path, form)
     except (OSError, ValueError) as fault:
-        raise ResultError(
-            "{file} cannot be read ({fault}); choose a folder that `robir reconstruct` finished",
-            file=path,
-            fault=fault,
-        ) from fault
+        text = "{file} cannot be read ({fault}); choose a folder that `robir reconstruct` finished"
+        raise ResultError(text, file=path, fault=fault) from fault
 
 
 def _remove_objects(mark: str) -> None:
@@ -350,13 +338,8 @@ def bring_in(context: bpy.types.Context, root: Path) -> list[str]:
 
 def light_up(context: bpy.types.Context) -> None:
     """Show the viewports of the scene lit by what the scene holds."""
-    for window in context.window_manager.windows:
-        if window.scene != context.scene:
-            continue
-        for area in window.screen.areas:
-            if area.type != "VIEW_3D":
-                continue
-            shading = area.spaces.active.shading
-            if shading.type in ("WIREFRAME", "SOLID"):  # these show neither material nor light
-                shading.type = "MATERIAL"
-            shading.use_scene_world = shading.use_scene_lights = True
+    for area in viewports(context.scene):
+        shading = area.spaces.active.shading
+        if shading.type in ("WIREFRAME", "SOLID"):  # these show neither material nor light
+            shading.type = "MATERIAL"
+        shading.use_scene_world = shading.use_scene_lights = True

@@ -9,10 +9,10 @@ from typing import Any
 import bpy
 import numpy as np
 from mathutils import Vector
-from mathutils.geometry import closest_point_on_tri
-from mathutils.interpolate import poly_3d_calc
+from mathutils.geometry import barycentric_transform, closest_point_on_tri
 
-from ..errors import RequestError, ResultError
+from ..blocks import numbers_of
+from ..engine.errors import RequestError, ResultError
 from ..gateway import JobPaths, client, read_record
 from ..words import told
 from .delight import has_own_layout, target_of
@@ -51,10 +51,8 @@ def texel_at(shown: bpy.types.Object, place: Sequence[float]) -> tuple[float, fl
         raise _without_surface(shown)
     seen = shown.evaluated_get(graph)
     if (world @ nearest - place).length > FAR * max(seen.dimensions):
-        raise RequestError(
-            "the 3D cursor is not on {name}; put it there with Shift and the right mouse button",
-            name=shown.name,
-        )
+        text = "the 3D cursor is not on {name}; put it there with Shift and the right mouse button"
+        raise RequestError(text, name=shown.name)
     mesh = seen.to_mesh()  # its data may be that of before a subdivision by the graphics card
     try:
         layer = next((layer for layer in mesh.uv_layers if layer.active_render), None)
@@ -97,8 +95,7 @@ def _interpolated(
 ) -> Vector:
     """Texture coordinates (2,) of a point, object frame, on one of a mesh's faces."""
     mesh.calc_loop_triangles()
-    owners = np.empty(len(mesh.loop_triangles), np.int32)
-    mesh.loop_triangles.foreach_get("polygon_index", owners)
+    owners = numbers_of(mesh.loop_triangles, "polygon_index", kind=np.int32).ravel()
 
     def corners(index: int) -> list[Vector]:
         return [mesh.vertices[vertex].co for vertex in mesh.loop_triangles[index].vertices]
@@ -107,9 +104,8 @@ def _interpolated(
         return (closest_point_on_tri(point, *corners(index)) - point).length
 
     nearest = min(np.flatnonzero(owners == face).tolist(), key=distance)
-    shares = poly_3d_calc(corners(nearest), point)
-    uvs = [layer.uv[loop].vector for loop in mesh.loop_triangles[nearest].loops]
-    return sum((share * uv for share, uv in zip(shares, uvs, strict=True)), Vector((0.0, 0.0)))
+    uvs = [layer.uv[loop].vector.to_3d() for loop in mesh.loop_triangles[nearest].loops]
+    return barycentric_transform(point, *corners(nearest), *uvs).to_2d()
 
 
 def sun_direction(lamp: bpy.types.Object, shown: bpy.types.Object | None) -> Vector:
@@ -145,14 +141,12 @@ def known_of(settings: Any) -> tuple[str, ...]:
     if settings.tone_curve != AUTOMATIC:
         items["families"] = [settings.tone_curve]
     if settings.spot_result:
-        items["white_point"] = _rounded((*settings.spot_texel, *settings.spot_albedo))
+        items["white_point"] = [*settings.spot_texel, *settings.spot_albedo]
     if any(settings.sun):
-        items["sun"] = _rounded(settings.sun)
+        items["sun"] = list(settings.sun)
+    for name in items.keys() - {"families"}:
+        items[name] = [round(value, _DIGITS) for value in items[name]]
     return tuple(f"appearance.{name}={json.dumps(value)}" for name, value in items.items())
-
-
-def _rounded(values: tuple[float, ...]) -> list[float]:
-    return [round(value, _DIGITS) for value in values]
 
 
 def remember_spot(settings: Any, root: Path, texel: tuple[float, float]) -> None:
@@ -174,10 +168,8 @@ def check_spot(settings: Any, request: client.Request) -> None:
         return
     picked = Path(settings.spot_result)
     if mark_of(request.out) != settings.spot_result:
-        raise RequestError(
-            "the spot of known paint was picked on {name}; pick it on this result or forget it",
-            name=picked.name,
-        )
+        text = "the spot of known paint was picked on {name}; pick it on this result or forget it"
+        raise RequestError(text, name=picked.name)
     try:
         preset = read_run(JobPaths(picked))["preset"]
     except ResultError:

@@ -10,7 +10,7 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ..blocks import MARK, are_there, enable_nodes, load_image, reload_image, with_mark
+from ..blocks import MARK, are_there, enable_nodes, load_image, numbers_of, reload_image, with_mark
 from ..gateway import UDIM, JobPaths, of_tile, tiles_there
 from .glb import GlbMesh
 from .placing import fit_again
@@ -23,10 +23,7 @@ _LEVEL = "Specular IOR Level"
 
 
 def texture_sockets(paths: JobPaths) -> list[tuple[Path, str, str]]:
-    """Texture files of the material with the socket they feed and their colour space.
-
-    Of a mesh with UDIM tiles a path names the files of all tiles at once.
-    """
+    """Texture files (of UDIM tiles: one path for all), sockets they feed, colour spaces."""
     albedo = paths.textures / "albedo.png"
     tile = UDIM if tiles_there(albedo) and not albedo.is_file() else None
     files = {
@@ -73,8 +70,10 @@ def refresh_asset(asset: bpy.types.Object, mesh: GlbMesh, paths: JobPaths) -> No
     data.name = name
 
 
-def is_edited(asset: bpy.types.Object) -> bool:
+def is_edited(asset: bpy.types.Object | None) -> bool:
     """Whether the user has changed the mesh itself since it was imported."""
+    if asset is None:
+        return False
     data = asset.data
     if data.shape_keys is not None or len(asset.vertex_groups) or len(data.uv_layers) != 1:
         return True
@@ -118,9 +117,7 @@ def _digest(data: bpy.types.Mesh) -> str:
         (data.polygons, "material_index", 1, np.int32),
         (data.uv_layers[0].uv, "vector", 2, np.float32),
     ):
-        numbers = np.empty(len(values) * width, kind)
-        values.foreach_get(name, numbers)
-        digest.update(numbers.tobytes())
+        digest.update(numbers_of(values, name, width, kind).tobytes())
     return digest.hexdigest()
 
 

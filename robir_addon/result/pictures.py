@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pictures as display codes 0..1, row 0 at the bottom, RGBA, straight alpha; captions over them."""
+"""Pictures as display codes 0..1, row 0 at the bottom, RGBA, straight alpha; captions over them.
+
+The engine puts photograph, re-render, albedo and roughness of a view beside each other.
+"""
 
 from pathlib import Path
 from typing import Any
@@ -9,6 +12,42 @@ import bpy
 import numpy as np
 
 from ..blocks import MARK, load_image
+from ..engine.errors import ResultError
+from ..gateway import JobPaths
+
+_PICTURES = 4  # of a comparison
+
+
+def compared_views(paths: JobPaths) -> list[str]:
+    """Names of the views whose pictures the engine has put beside each other."""
+    before, after = paths.comparison("*").name.split("*")
+    found = sorted(file.name for file in paths.renders.glob(f"{before}*{after}"))
+    return [name.removeprefix(before).removesuffix(after) for name in found]
+
+
+def compare(paths: JobPaths, view: str = "") -> tuple[str, np.ndarray]:
+    """Name and pictures, (H, 4 H, 4) beside each other, of a view ("": the first there is)."""
+    known = compared_views(paths)
+    chosen = view or next(iter(known), "")
+    if chosen not in known:
+        names = ", ".join(known) or "none; export the result again"
+        text = "view {view!r} has no pictures to compare; choose one of: {known}"
+        raise ResultError(text, view=chosen, known=names)
+    return chosen, read_codes(paths.comparison(chosen))
+
+
+def one_of(codes: np.ndarray, number: int) -> np.ndarray:
+    """The photograph (0), re-render, albedo or roughness (3) of a comparison, (H, W, 4)."""
+    return np.split(codes, _PICTURES, axis=1)[number]
+
+
+def wiped(codes: np.ndarray, number: int, share: float) -> np.ndarray:
+    """(H, W, 4) the photograph up to a share of the width, there another of the pictures."""
+    photograph, over = one_of(codes, 0), one_of(codes, number).copy()
+    edge = round(share * over.shape[1])
+    over[:, :edge] = photograph[:, :edge]
+    over[:, max(0, edge - 1) : edge] = 1.0
+    return over
 
 
 def read_codes(file: Path) -> np.ndarray:

@@ -15,8 +15,8 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
-from ..blocks import MARK, with_mark
-from ..errors import ResultError
+from ..blocks import MARK, numbers_of, with_mark
+from ..engine.errors import ResultError
 
 # custom property of the object: scale and shift (3) of its mesh against the capture's frame
 _FITTED = "robir_fitted"
@@ -47,10 +47,7 @@ def scale_result(asset: bpy.types.Object, factor: float) -> None:
 def stand(asset: bpy.types.Object, ground: Mapping[str, Any] | None = None) -> None:
     """Put the object's origin to its foot, the middle of its bounds' lower side, and that to 0.
 
-    Args:
-        asset: The imported object.
-        ground: "normal" and "offset" of the plane that it stands on, capture frame. Where the
-            object still has this ground, it is the foot, whatever hangs below.
+    Where it still has the ground that it stands on, that is the foot, whatever hangs below.
     """
     foot = middle_of_foot(asset, ground)
     _fit(asset, 1.0, -(asset.matrix_world.inverted() @ foot))
@@ -67,25 +64,24 @@ def middle_of_foot(asset: bpy.types.Object, ground: Mapping[str, Any] | None = N
     points = points_of(asset) @ np.array(asset.matrix_world.to_3x3()).T
     low, high = points.min(axis=0), points.max(axis=0)
     foot = asset.matrix_world.translation + Vector((*(0.5 * (low + high))[:2], low[2]))
-    if ground is not None and _has(asset, ground):
-        scale, *shift = asset.get(_FITTED, _SAME)
-        normal = Vector(ground["normal"])
-        on_it = asset.matrix_world @ (scale * ground["offset"] * normal + Vector(shift))
-        up = asset.matrix_world.to_3x3().inverted().transposed() @ normal
-        if up.z > _STEEP * up.length:
-            foot.z = on_it.z + up.to_2d() @ (on_it - foot).to_2d() / up.z
+    if ground is None:
+        return foot
+    with suppress(ResultError):  # it is edited too far to tell
+        if faces_of_ground(asset, ground, 0.0).any():
+            scale, *shift = asset.get(_FITTED, _SAME)
+            normal = Vector(ground["normal"])
+            on_it = asset.matrix_world @ (scale * ground["offset"] * normal + Vector(shift))
+            up = asset.matrix_world.to_3x3().inverted().transposed() @ normal
+            if up.z > _STEEP * up.length:
+                foot.z = on_it.z + up.to_2d() @ (on_it - foot).to_2d() / up.z
     return foot
 
 
 def drop_ground(asset: bpy.types.Object, ground: Mapping[str, Any], most: float) -> None:
-    """Delete what reaches at most so high above a plane, capture frame, and what hangs on nothing.
-
-    What stood on the floor stands again.
-    """
+    """Delete ground up to a height, capture frame, and what then hangs on nothing; stand again."""
     delete_faces(asset, faces_of_ground(asset, ground, most))
-    lost = crumbs(asset)
-    if lost.any():
-        delete_faces(asset, lost)
+    with suppress(ResultError):  # there are none
+        delete_faces(asset, crumbs(asset))
     asset[_DROPPED] = most
     if asset.get(_STANDS):
         stand(asset)
@@ -165,18 +161,9 @@ def crumbs(asset: bpy.types.Object) -> np.ndarray:
     return np.bincount(of_face)[of_face] < _CRUMB * len(place)
 
 
-def _has(asset: bpy.types.Object, ground: Mapping[str, Any]) -> bool:
-    try:
-        return bool(faces_of_ground(asset, ground, 0.0).any())
-    except ResultError:  # edited too far to tell
-        return False
-
-
 def points_of(asset: bpy.types.Object) -> np.ndarray:
     """(V, 3) vertices, object frame."""
-    points = np.empty(3 * len(asset.data.vertices), np.float32)
-    asset.data.vertices.foreach_get("co", points)
-    return points.reshape(-1, 3)
+    return numbers_of(asset.data.vertices, "co", 3)
 
 
 def _corners(asset: bpy.types.Object) -> np.ndarray:
@@ -185,8 +172,7 @@ def _corners(asset: bpy.types.Object) -> np.ndarray:
     data.calc_loop_triangles()
     if len(data.loop_triangles) != len(data.polygons):
         raise ResultError("the object has faces that are no triangles; it was edited too far")
-    index = np.empty(3 * len(data.polygons), np.int32)
-    data.loops.foreach_get("vertex_index", index)
+    index = numbers_of(data.loops, "vertex_index", kind=np.int32)
     return points_of(asset)[index.reshape(-1, 3)].astype(np.float64)
 
 

@@ -51,10 +51,7 @@ def read_shown() -> None:
 def summary_of(report: dict[str, Any]) -> Summary:
     """Summary of the contents of a report.json."""
     trust = report["trust"]
-    verdict = trust.get("verdict")
-    if verdict is None:  # an older result
-        word = "Good" if trust["is_trusted"] else "Doubtful"
-        verdict = {"word": word, "reason": "; ".join(trust["doubts"][:1]), "remedy": ""}
+    verdict = trust["verdict"]
     sentences = filter(None, (verdict["reason"], verdict["remedy"]))
     reason = ". ".join(sentence[:1].upper() + sentence[1:] for sentence in sentences)
     told = (warning["message"] for warning in report["warnings"])
@@ -91,10 +88,7 @@ def _facts(report: dict[str, Any]) -> list[str]:
 
 
 def _follow(*_: object) -> None:
-    """Show the result of an object that became the active one, by a click for instance.
-
-    Blender's message bus does not tell of clicks any more after a file was opened.
-    """
+    """Show the active object's result: the message bus misses clicks after a file was opened."""
     result = active_result(bpy.context)
     if [result] == _active:
         return

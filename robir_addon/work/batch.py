@@ -5,12 +5,10 @@ A batch is a process of its own that `robir batch` leads; all that is known of i
 """
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import bpy
 
-from ..errors import RequestError
 from ..gateway import holder, library
 from ..words import duration, words
 from . import monitor
@@ -44,14 +42,13 @@ def shown() -> Queue:
 def library_paths(settings: bpy.types.PropertyGroup) -> library.LibraryPaths | None:
     """The chosen library; None where none is chosen."""
     root = absolute(settings.library)
-    return None if root is None else library.LibraryPaths(Path(root))
+    return None if root is None else library.LibraryPaths(root)
 
 
 def chosen(settings: bpy.types.PropertyGroup) -> library.LibraryPaths:
-    """The chosen library."""
+    """The same where operators have made sure that one is."""
     paths = library_paths(settings)
-    if paths is None:
-        raise RequestError("Choose a library, or run a batch first")
+    assert paths is not None
     return paths
 
 

@@ -6,8 +6,6 @@ where the capture is shown.
 """
 
 import io
-import re
-import struct
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -150,15 +148,8 @@ def _refresh_icons(image: bpy.types.Image) -> None:
 NAME = "RobIR growing"  # name of the object and of its mesh; Blender may have to number them
 _GROWING = "robir_growing"  # custom property of both
 _MOST_BYTES = 1 << 20  # largest file that is read; the engine's have a tenth of it
-_HEAD = struct.Struct("<8sH")
-_MAGIC = b"\x93NUMPY\x01\x00"
-# what numpy writes before the numbers, where they are what is wanted
-_SHAPE = re.compile(
-    rb"\{'descr': '(<f4|<i4)', 'fortran_order': False, 'shape': \((\d{1,7}), 3\), \}\s*"
-)
 _DAMAGE = (
-    OSError, ValueError, KeyError, EOFError, RuntimeError, NotImplementedError, struct.error,
-    zipfile.BadZipFile,
+    OSError, ValueError, KeyError, EOFError, RuntimeError, MemoryError, zipfile.BadZipFile,
 )  # fmt: skip
 
 # vertices (V, 3) float32 in the capture's frame and unit, triangles (F, 3) int32
@@ -169,8 +160,8 @@ def read_surface(file: Path) -> Surface | None:
     """The surface that the engine wrote last; None where the file is missing or not whole."""
     try:
         with zipfile.ZipFile(io.BytesIO(read_regular(file, _MOST_BYTES))) as archive:
-            vertices = _array(archive, "vertices.npy", b"<f4")
-            faces = _array(archive, "faces.npy", b"<i4")
+            vertices = _array(archive, "vertices.npy", np.float32)
+            faces = _array(archive, "faces.npy", np.int32)
     except _DAMAGE:
         return None
     if not len(faces) or not len(vertices) or not np.isfinite(vertices).all():
@@ -193,7 +184,11 @@ def show_surface(scene: bpy.types.Scene, surface: Surface) -> None:
     shown = next((o for o in collection.objects if _GROWING in o and o.type == "MESH"), None)
     if shown is None:
         clear_surface()
-        shown = _new_object(collection)
+        shown = bpy.data.objects.new(NAME, bpy.data.meshes.new(NAME))
+        for block in (shown, shown.data):  # the capture's mark too: it goes when that is put away
+            block[_GROWING] = block[MARK] = True
+        shown.hide_select = shown.hide_render = True
+        collection.objects.link(shown)
     mesh = shown.data
     if mesh.is_editmode:
         return
@@ -211,24 +206,11 @@ def clear_surface() -> None:
             blocks.remove(block)
 
 
-def _new_object(collection: bpy.types.Collection) -> bpy.types.Object:
-    mesh = bpy.data.meshes.new(NAME)
-    shown = bpy.data.objects.new(NAME, mesh)
-    for block in (shown, mesh):  # the capture's mark too: it goes when that is put away
-        block[_GROWING] = block[MARK] = True
-    shown.hide_select = shown.hide_render = True
-    collection.objects.link(shown)
-    return shown
-
-
-def _array(archive: zipfile.ZipFile, name: str, kind: bytes) -> np.ndarray:
+def _array(archive: zipfile.ZipFile, name: str, kind: type) -> np.ndarray:
     """An array (N, 3) of a file that numpy wrote uncompressed, so that nothing can swell."""
     if archive.getinfo(name).compress_type != zipfile.ZIP_STORED:
         raise ValueError("it is compressed")
-    content = archive.read(name)
-    magic, size = _HEAD.unpack_from(content)
-    head = _SHAPE.fullmatch(content[_HEAD.size : _HEAD.size + size])
-    if magic != _MAGIC or head is None or head[1] != kind:
+    array = np.lib.format.read_array(io.BytesIO(archive.read(name)), allow_pickle=False)
+    if array.dtype != kind or array.shape[1:] != (3,):
         raise ValueError("it holds something else")
-    numbers = np.frombuffer(content, np.dtype(kind.decode()), offset=_HEAD.size + size)
-    return numbers.reshape(int(head[2]), 3)
+    return array

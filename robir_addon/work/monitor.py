@@ -22,7 +22,7 @@ from typing import Any
 import bpy
 
 from ..command_line import worker_environment
-from ..errors import AddonError
+from ..engine.errors import AddonError
 from ..gateway import client
 from ..words import told
 from . import growth
@@ -66,10 +66,7 @@ def is_busy() -> bool:
 
 
 def run_task(*work: Any) -> None:
-    """Start a task and return; what comes of it is told later, in the main thread.
-
-    What both this and `wait_task` take is what `_begin_task` says.
-    """
+    """Start a task (`_begin_task`); what comes of it is told later, in the main thread."""
     _begin_task(*work)
     _wake()
 
@@ -83,8 +80,7 @@ def wait_task(*work: Any) -> None:
                 _take_line(task, task.next_line(1.0))
     except BaseException:
         task.kill()
-        _work.task = None
-        _state().task = ""
+        _work.task, _state().task = None, ""
         raise
 
 
@@ -121,16 +117,6 @@ def cancel() -> None:
         return
     _state().message = told(_STOPPING)
     redraw()
-
-
-def attach() -> bool:
-    """Follow a worker again that is at work on the result of one of the scenes."""
-    for scene in bpy.data.scenes:
-        root = result_folder(scene.robir)
-        if root is not None and client.snapshot(root).is_live:
-            watch(root)
-            return True
-    return False
 
 
 def do_in_steps(steps: Iterator[object]) -> None:
@@ -246,19 +232,12 @@ def _begin_task(
     on_end: OnEnd,
     environment: Mapping[str, str] | None = None,
 ) -> Task:
-    """Start a task.
+    """Start a task under its name in `WindowManager.robir.task`; an AddonError if it cannot be.
 
-    Args:
-        name: As in `WindowManager.robir.task`.
-        command: Program and words.
-        on_line: Called with every JSON object the task prints. Before that, "progress" (or
-            "fraction") and "message" in it are shown.
-        on_end: Called at the end, when nothing is at work any more, with the exit code, 130 if the
-            task was cancelled, and the last words that were no JSON.
-        environment: All its variables; None takes those of an engine.
-
-    Raises:
-        AddonError: If the program cannot be run, or something else is at work.
+    "progress" (or "fraction") and "message" of every JSON object that it prints are shown, then
+    `on_line` gets it. At the end, when nothing is at work any more, `on_end` gets the exit code,
+    130 if the task was cancelled, and the last words that were no JSON. Without variables of its
+    own it has those of an engine.
     """
     _refuse_if_busy()
     variables = worker_environment() if environment is None else environment
@@ -340,8 +319,11 @@ def _end_job(job: _Job, snapshot: client.Snapshot) -> None:
 
 
 def _attach_after_load(*_: object) -> None:
-    if not bpy.app.background and not is_busy():
-        attach()
+    """Follow a worker again that is at work on the result of one of the scenes."""
+    for scene in () if bpy.app.background else bpy.data.scenes:
+        root = result_folder(scene.robir)
+        if root is not None and not is_busy() and client.snapshot(root).is_live:
+            watch(root)
 
 
 HANDLERS = (("load_post", _attach_after_load),)

@@ -9,6 +9,7 @@ import platform
 import re
 import sys
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 
 import bpy
@@ -43,16 +44,12 @@ def without_private_paths(text: str, folders: Mapping[str, str]) -> str:
         for spelling in {str(folder), folder.as_posix(), str(folder).replace("\\", "\\\\")}:
             if len(spelling) > 1:  # a root is no secret, and is in every path
                 text = re.sub(re.escape(spelling) + r"(?![\w.-])", lambda _, n=name: n, text)
-    for user in {_user(), Path.home().name} - {""}:
+    users = {Path.home().name}
+    with suppress(OSError, KeyError, ImportError):  # no such entry in the system's list of users
+        users.add(getpass.getuser())
+    for user in users - {""}:
         text = re.sub(rf"(?<![A-Za-z0-9]){re.escape(user)}(?![A-Za-z0-9])", "USER", text)
     return text
-
-
-def _user() -> str:
-    try:
-        return getpass.getuser()
-    except (OSError, KeyError, ImportError):  # no such entry in the system's list of users
-        return ""
 
 
 def _versions(engine: str) -> str:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from typing import IO, Any, cast
 
-from ..errors import AddonError
+from ..engine.errors import AddonError
 
 OnLine = Callable[[dict[str, Any]], None]
 OnEnd = Callable[[int, str], None]
@@ -50,11 +50,8 @@ class Task:
                 start_new_session=not _IS_WINDOWS,
             )
         except OSError as fault:
-            raise AddonError(
-                "{program} cannot be run: {fault}; check the engine",
-                program=command[0],
-                fault=fault.strerror,
-            ) from fault
+            text = "{program} cannot be run: {fault}; check the engine"
+            raise AddonError(text, program=command[0], fault=fault.strerror) from fault
         threading.Thread(target=self._read, name=f"RobIR {name}", daemon=True).start()
 
     def _read(self) -> None:

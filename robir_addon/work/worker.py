@@ -80,10 +80,7 @@ def shown_box(settings: Any) -> bpy.types.Object | None:
 
 
 def box_of(settings: Any) -> tuple[float, ...]:
-    """Centre and sides of the box about the object along the world's axes; empty without one.
-
-    In the capture's own frame and unit, which the viewport may show at another place and scale.
-    """
+    """Centre and sides of the box about the object, the capture's own frame; empty without one."""
     chosen = shown_box(settings)
     if chosen is None:
         return ()

@@ -230,6 +230,8 @@ def draw_everything(state, result):
             answer["texts"] += layout.texts()
             answer["buttons"] += layout.operators()
             answer["wide"] += layout.wide
+            if not is_open and "DEFAULT_CLOSED" not in getattr(cls, "bl_options", ()):
+                answer["controls"] = answer.get("controls", 0) + layout.controls()
             answer["pictures"] = answer.get("pictures", 0) + layout.pictures()
             answer["files"] += touched
     answer["milliseconds"] = 1000.0 * min(seconds_to_draw() for _ in range(TRIALS))

@@ -82,6 +82,11 @@ class Recorder:
         """How many large icons are drawn."""
         return sum(function == "template_icon" for function, _ in self.calls)
 
+    def controls(self):
+        """How many things can be pressed or set."""
+        kinds = ("operator", "prop", "menu", "template_icon_view", "template_list")
+        return sum(function in kinds for function, _ in self.calls)
+
     def operators(self):
         """Names of the operators that can be pressed."""
         return [given["operator"] for _, given in self.calls if "operator" in given]

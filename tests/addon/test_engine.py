@@ -28,10 +28,10 @@ from addon.wheelhouse import (
 from packaging.requirements import Requirement
 
 import robir
-from robir_addon.engine import EngineError, Place, status
-from robir_addon.engine.places import worker_command
+from robir_addon.engine.errors import EngineError
+from robir_addon.engine.places import Place, worker_command
 from robir_addon.engine.remove import engine_lock, remove
-from robir_addon.engine.states import read_record, write_record
+from robir_addon.engine.states import read_record, status, write_record
 
 UNUSUAL = "an 'engine' \"of\" Grüße & 漢字"
 

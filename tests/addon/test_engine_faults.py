@@ -17,10 +17,11 @@ import pytest
 from addon.wheelhouse import CONSTRAINTS
 
 import robir
-from robir_addon.engine import EngineError, Place, inspect, places
 from robir_addon.engine import install as installer
+from robir_addon.engine import places
+from robir_addon.engine.errors import EngineError
 from robir_addon.engine.pip import Pip, _Meter
-from robir_addon.engine.places import base_python, worker_command
+from robir_addon.engine.places import Place, base_python, inspect, worker_command
 from robir_addon.engine.states import Record, read_record, write_record
 
 

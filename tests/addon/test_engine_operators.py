@@ -140,10 +140,10 @@ def test_permission_and_preferences_in_every_blender(blender, extension_zip, tmp
     assert not said["made"]
     texts, buttons = said["MANAGED"]
     assert {"No engine is installed", "Press Install Engine", "All is well"} <= set(texts)
-    assert buttons == ["robir.install_engine", "robir.check_engine", "robir.remove_engine"]
+    assert buttons == ["robir.check_engine", "robir.install_engine", "robir.remove_engine"]
     texts, buttons = said["MANAGEDinstall"]
     assert "torch, 3 of 9 MB" in texts
-    assert buttons[0] == "robir.cancel_install"
+    assert buttons[0] == "robir.cancel_reconstruct"
     texts, _ = said["MANAGEDfailed"]
     assert {"Nobody offers it", "Choose another"} <= set(texts)
     assert not {"Press Install Engine", "All is well"} & set(texts), "that would contradict it"

@@ -69,29 +69,6 @@ def find_studio_lights(blender):
     return blender.site_packages.glob("bpy/*/datafiles/studiolights/world/*.exr")
 
 
-def test_what_cycles_rendered_comes_first(result, tmp_path):
-    import bpy  # noqa: F401 - the wheel brings mathutils
-
-    from robir_addon.errors import ResultError
-    from robir_addon.result.comparison import rendered_view
-    from robir_addon.result.importer import read_cameras
-
-    table = read_cameras(result)
-    assert rendered_view(result, table).rendered_by == "RobIR"
-    result.renders.mkdir(exist_ok=True)
-    file = result.renders / "rerender_held_out_001.png"
-    Image.fromarray(np.full((2, 3, 4), [51, 102, 204, 255], np.uint8)).save(file)
-    try:
-        chosen = rendered_view(result, table)
-        assert (chosen.entry["name"], chosen.rendered_by) == ("held_out_001", "Cycles")
-        assert chosen.picture == pytest.approx(np.full((2, 3, 4), [0.2, 0.4, 0.8, 1.0]))
-        assert rendered_view(result, table, "held_out_000").rendered_by == "RobIR"
-        with pytest.raises(ResultError, match="train_000"):
-            rendered_view(result, table, "train_000")
-    finally:
-        file.unlink()
-
-
 @pytest.mark.parametrize(
     ("text", "expected"),
     [

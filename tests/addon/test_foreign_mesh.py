@@ -335,7 +335,7 @@ def test_reading_has_so_much_memory_and_time(scans, tmp_path):
 import sys
 from pathlib import Path
 from robir_addon.capture.foreign_mesh import convert_apart
-from robir_addon.errors import RequestError
+from robir_addon.engine.errors import RequestError
 for limits in ((1 << 20, 60.0), (1 << 33, 0.05)):
     try:
         convert_apart(Path(sys.argv[1]), Path("cube.glb"), *limits)

@@ -91,7 +91,7 @@ def test_paint_without_highlights_has_none_in_blender(result, scene, tmp_path, s
 
 @pytest.mark.parametrize("transform", [None, "A Curve of Later Years"])
 def test_a_curve_blender_lacks_is_said(result, scene, transform):
-    from robir_addon.relighting.view_transform import match_view_transform
+    from robir_addon.relighting.rendering import match_view_transform
 
     table = read_json(result.tone_curve)
     lacking = {"family": "robir_aces", "blender_view_transform": transform}
@@ -134,7 +134,7 @@ def test_what_the_user_made_is_left_alone_and_the_world_comes_back(result):
     assert scene.camera == camera
     assert (scene.render.resolution_x, scene.render.pixel_aspect_y) == size
     own = bpy.data.objects.new("kept", None)
-    imported.collection.objects.link(own)
+    imported.asset.users_collection[0].objects.link(own)
     import_result(result.root, scene)
     assert own.name in scene.objects
     # a World that nothing shows must survive saving
@@ -181,11 +181,11 @@ def test_of_two_results_one_shines(result, scene, tmp_path):
     lights.show_recovered_light(scene, first.world, use_sun_lamp=True)
     assert [i.lamps[0].hide_render for i in (first, second)] == [False, True]
     remove_result(result.root)
-    assert list(scene.collection.children) == [second.collection]
+    assert list(scene.collection.children) == list(second.asset.users_collection)
 
 
 def test_a_broken_folder_changes_nothing(result, scene, tmp_path):
-    from robir_addon.errors import ResultError
+    from robir_addon.engine.errors import ResultError
     from robir_addon.result.importer import import_result
 
     copy = JobPaths(tmp_path / "copy")

@@ -71,6 +71,11 @@ def test_each_panel_appears_in_its_state(seen):
         assert f"ROBIR_PT_{absent}" not in seen["states"][state]["panels"]
 
 
+def test_few_controls_are_seen_until_something_is_unfolded(seen):
+    controls = {state: found["controls"] for state, found in seen["states"].items()}
+    assert max(controls.values()) <= 16, controls
+
+
 def test_what_matters_is_said(seen):
     def said(state):
         return " ".join(seen["states"][state]["texts"])
@@ -122,7 +127,7 @@ def test_the_button_that_is_needed_is_there(seen):
         "chosen": "pick_spot",
         "knowing": "forget_sun",
         "pictured": "export_glb",
-        "installing": "cancel_install",
+        "installing": "cancel_reconstruct",
         "unreadable": "import_result",
     }
     for state, name in needed.items():
@@ -166,7 +171,7 @@ def test_every_operator_is_found_by_the_search(seen):
 
 def test_what_changes_the_file_can_be_undone(seen):
     looks_only = {
-        "add_library", "allow_online", "cancel_install", "cancel_reconstruct",
+        "add_library", "allow_online", "cancel_reconstruct",
         "check_engine", "copy_report", "dismiss", "drop_from_batch", "export_game", "export_glb",
         "export_textures", "export_usd", "install_engine", "open_report", "picture_lights",
         "prefer_in_batch", "remove_engine", "run_batch", "stop_batch", "turntable",

@@ -66,7 +66,7 @@ def test_scene_renders_like_the_photographs(rendered):
 
 @pytest.mark.parametrize("family", ["standard", "robir_aces", "agx"])
 def test_tone_table_is_the_curve(tmp_path, family):
-    from robir_addon.relighting.view_transform import read_tone_table
+    from robir_addon.relighting.rendering import read_tone_table
 
     curve = tone.curve_from_name(family)
     (tmp_path / "tone.cube").write_text(tone.cube_text(curve, 65), encoding="ascii")

@@ -123,7 +123,7 @@ def test_exported_files_name_nothing_of_the_machine(copy):
     ],
 )
 def test_cameras_that_cannot_be(copy, change):
-    from robir_addon.errors import ResultError
+    from robir_addon.engine.errors import ResultError
     from robir_addon.result.importer import read_cameras
 
     read_cameras(copy)
@@ -139,7 +139,7 @@ def test_cameras_that_cannot_be(copy, change):
 def test_pipes_and_links_stop_no_import(copy, name, make):
     import bpy
 
-    from robir_addon.errors import ResultError
+    from robir_addon.engine.errors import ResultError
     from robir_addon.result.importer import import_result
 
     (copy.root / name).unlink(missing_ok=True)
@@ -152,7 +152,7 @@ def test_pipes_and_links_stop_no_import(copy, name, make):
     "text", [b"[" * 100_000, b'{"meshes": [{"primitives": [{"indices": 0}]}]}']
 )
 def test_assets_that_are_none(copy, text):
-    from robir_addon.errors import ResultError
+    from robir_addon.engine.errors import ResultError
     from robir_addon.result.glb import read_glb
 
     chunk = struct.pack("<4sIIII", b"glTF", 2, 20 + len(text), len(text), 0) + text

@@ -47,8 +47,11 @@ def table_of(curve):
 @pytest.mark.parametrize("power", [0.5, 2.0])
 @pytest.mark.parametrize("family", ["standard", "filmic"])
 def test_a_power_is_shown_live(grey, tmp_path, family, power):
-    from robir_addon.relighting.rendering import render_still
-    from robir_addon.relighting.view_transform import match_view_transform, view_transform_differs
+    from robir_addon.relighting.rendering import (
+        match_view_transform,
+        render_still,
+        view_transform_differs,
+    )
 
     curve = tone.powered(tone.curve_from_name(family), power)
     table = table_of(curve)

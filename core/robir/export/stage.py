@@ -24,7 +24,7 @@ from robir.jobs.context import StageContext
 from robir.jobs.paths import JobPaths
 from robir.transport.observe import spread_views
 
-REVISION = 14
+REVISION = 15
 
 RELIGHT_ENVIRONMENT = "city"  # a map of Blender's with a hard sun, which lit no capture of ours
 RELIT_VIEWS = 2  # most views that are rendered under it
@@ -166,8 +166,9 @@ def _render(
 def _remove_old_renders(paths: JobPaths) -> None:
     """Forget what Blender made of an earlier asset; views the user had rendered stay."""
     paths.scene.unlink(missing_ok=True)
-    for prefix in (_RERENDER, _RELIT, _LIGHTS):
-        for file in paths.renders.glob(f"{prefix}*.png"):
+    old = (f"{_RERENDER}*.png", f"{_RELIT}*.png", f"{_LIGHTS}*.png", paths.comparison("*").name)
+    for pattern in old:
+        for file in paths.renders.glob(pattern):
             file.unlink()
 
 

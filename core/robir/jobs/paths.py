@@ -91,6 +91,10 @@ class JobPaths:
         """Cycles picture of a view under the recovered light; absent where none was rendered."""
         return self.renders / f"rerender_{view}.png"
 
+    def comparison(self, view: str) -> Path:
+        """A view's photograph, re-render, albedo and roughness beside each other, as wide each."""
+        return self.renders / f"compare_{view}.webp"
+
     def light_picture(self, light: str) -> Path:
         """Small Cycles picture under a light, by its file's stem or "" for the recovered one."""
         return self.renders / f"light_{light or 'recovered'}.png"

@@ -45,7 +45,8 @@ Picture = NDArray[np.uint8]
 CONTACT_SIDE = 160  # side of each of the four pictures of `contact.jpg`, pixels
 _SIDE = 560  # longer side of a view's picture, pixels: as much as an enlarged one shows
 _MAX_ROWS = 4
-_QUALITY = 86
+_QUALITY, _FINE_QUALITY = 86, 95
+_COMPARED = ("photo", "rerender", "albedo", "roughness")
 
 
 def own_rerenders(paths: JobPaths) -> dict[str, Picture]:
@@ -54,19 +55,23 @@ def own_rerenders(paths: JobPaths) -> dict[str, Picture]:
 
 
 def shown_views(views: tuple[View, ...], rendering: Rendering) -> list[View]:
-    """Rendered views where there are any, relit ones first, else evenly chosen ones."""
+    """Rendered views, relit ones first, and for want of them evenly chosen others."""
     rendered = [view for view in views if view.name in rendering.rerenders]
     rendered.sort(key=lambda view: view.name not in rendering.relit)
-    if rendered:
-        return rendered[:_MAX_ROWS]
-    picked = np.linspace(0, len(views) - 1, min(_MAX_ROWS, len(views))).round().astype(int)
-    return [views[index] for index in picked]
+    del rendered[_MAX_ROWS:]
+    others = [view for view in views if view.name not in rendering.rerenders]
+    count = min(_MAX_ROWS - len(rendered), len(others))
+    picked = np.linspace(0, len(others) - 1, count).round().astype(int)
+    return [*rendered, *(others[index] for index in picked)]
 
 
 def row_of_view(
-    view: View, layers: Layers, own: dict[str, Picture], rendering: Rendering
+    view: View, layers: Layers, own: dict[str, Picture], rendering: Rendering, beside: Path
 ) -> dict[str, Any]:
-    """Pictures of one view as data addresses, cut to the object; None where there is none."""
+    """Pictures of one view as data addresses, cut to the object; None where there is none.
+
+    What the add-on compares is written to `beside` as one picture.
+    """
     again, how = _rerender(view, own, rendering)
     relit = rendering.relit.get(view.name)
     pictures = {
@@ -80,11 +85,25 @@ def row_of_view(
     def webp(picture: Picture) -> str:
         return data_address("image/webp", encoded(picture, format="WEBP", quality=_QUALITY))
 
-    shown = {
-        name: None if picture is None else webp(cut(picture, frame, _SIDE))
-        for name, picture in pictures.items()
-    }
+    whole = {n: None if p is None else cut(p, frame, _SIDE) for n, p in pictures.items()}
+    _write_beside(beside, [whole[name] for name in _COMPARED])
+    shown = {name: None if picture is None else webp(picture) for name, picture in whole.items()}
     return {"name": view.name, "rerender_by": how if again is not None else "", **shown}
+
+
+def _write_beside(path: Path, pictures: list[Picture | None]) -> None:
+    """Write square pictures beside each other, all as wide as the widest; where none is, nothing.
+
+    Small photographs are shown larger, so that the textures show more than they do.
+    """
+    side = max(len(picture) for picture in pictures if picture is not None)
+    row = Image.new("RGBA", (len(pictures) * side, side))
+    for index, picture in enumerate(pictures):
+        if picture is not None:
+            tile = Image.fromarray(picture).resize((side, side), Image.Resampling.NEAREST)
+            row.paste(tile, (index * side, 0))
+    with replacing(path) as temporary:
+        row.save(temporary, format="WEBP", quality=_FINE_QUALITY, exact=True)
 
 
 def _rerender(

@@ -37,14 +37,14 @@ _ALLOWED = "HASHES"  # stands for the scripts that may run, until they are known
 
 
 def write_report(paths: JobPaths, products: Products) -> dict[str, Any]:
-    """Write report/index.html, report/report.json and report/contact.jpg; the JSON's content."""
+    """Write report/ and what the add-on compares; the content of report.json."""
     views = products.capture.held_out or products.capture.train
     own = own_rerenders(paths)
     shown = shown_views(views, products.rendering)
     cameras = [fine(view.camera) for view in shown]
     layers = view_layers(products.mesh, products.arrays, cameras, sub_pixels=1)
     rows = [
-        row_of_view(view, seen, own, products.rendering)
+        row_of_view(view, seen, own, products.rendering, paths.comparison(view.name))
         for view, seen in zip(shown, layers, strict=True)
     ]
     write_contact(paths.contact, shown[0], layers[0], own, products.rendering)
