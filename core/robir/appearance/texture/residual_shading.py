@@ -22,11 +22,11 @@ _MESH_ERROR = 0.02  # length over which errors of the mesh's normals vary, unit 
 _REACH = 0.4  # how far the surroundings reach that a texel is compared with, unit frame
 _COUNT = 128  # texels of these
 _ROUNDS = 3  # how often texels are drawn together
-_ALIKE_BRIGHTNESS = 0.15  # difference of log albedo within which texels may be one material
-_ALIKE_HUE = 0.08  # the same in hue
+_ALIKE_BRIGHTNESS = 0.25  # difference of log albedo within which texels may be one material
+_ALIKE_HUE = 0.12  # the same in hue
 # standard deviation of a texel's hue against that of its brightness: how much sun arrives, which
 # nobody knows at a shadow's edge, changes the one more than the other
-_HUE_DOUBT = 0.25
+_HUE_DOUBT = 0.35
 _LIFT = 0.35  # by how much surroundings may lift any texel (log albedo)
 _LEAST_DOUBT = 0.03  # adds to the standard deviation of every log albedo where texels are weighed
 _BLURRED = 12  # texels over which corrections are blurred at most
