@@ -21,7 +21,7 @@ from robir.maths.similarity import Similarity
 pytestmark = pytest.mark.pycolmap
 
 VIEWS, POINTS = 12, 80
-COUNT = 16  # traced photographs
+COUNT = 24  # traced photographs
 
 
 @pytest.fixture
