@@ -143,7 +143,7 @@ def requests(result, capture, other):
     def refusal():
         try:
             known.check_spot(settings(), worker.request_of(settings()))
-        except module("errors").RequestError as fault:
+        except module("engine.errors").RequestError as fault:
             return str(fault)
         return ""
 
