@@ -212,8 +212,8 @@ validator: setup
 
 # Two processes of tests keep two cores busy, the longest first, and the last one tests all others;
 # each spends seconds on loading torch. What each says is shown when it ends.
-RUNS := end_to_end hostile batch pipeline
-LOOKS := appearance scenes bench
+RUN_TESTS := end_to_end hostile batch pipeline
+LOOK_TESTS := appearance scenes bench
 PARTS := test-addon test-runs test-capture test-looks test-geometry test-others
 TOGETHER := $(if $(filter output-sync,$(.FEATURES)),--output-sync=target)
 
@@ -224,9 +224,9 @@ test: setup
 $(PARTS): setup
 	@echo "== $@"; $(BIN)/python -m pytest -q $(TESTED)
 $(PARTS): TESTED = tests/$(@:test-%=%)
-test-runs: TESTED = $(RUNS:%=tests/%)
-test-looks: TESTED = $(LOOKS:%=tests/%)
-test-others: TESTED = $(patsubst %,--ignore=tests/%,addon capture geometry $(RUNS) $(LOOKS))
+test-runs: TESTED = $(RUN_TESTS:%=tests/%)
+test-looks: TESTED = $(LOOK_TESTS:%=tests/%)
+test-others: TESTED = $(patsubst %,--ignore=tests/%,addon capture geometry $(RUN_TESTS) $(LOOK_TESTS))
 test-addon: blenders
 test-others: validator
 
