@@ -4,6 +4,7 @@
 The engine puts photograph, re-render, albedo and roughness of a view beside each other.
 """
 
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +34,16 @@ def compare(paths: JobPaths, view: str = "") -> tuple[str, np.ndarray]:
         names = ", ".join(known) or "none; export the result again"
         text = "view {view!r} has no pictures to compare; choose one of: {known}"
         raise ResultError(text, view=chosen, known=names)
-    return chosen, read_codes(paths.comparison(chosen))
+    file = paths.comparison(chosen)
+    return chosen, _read_once(file, file.stat().st_mtime_ns)
+
+
+@lru_cache(maxsize=1)
+def _read_once(file: Path, _changed: int) -> np.ndarray:
+    """The comparison shown last: a wipe that is dragged asks for it again and again."""
+    codes = read_codes(file)
+    codes.setflags(write=False)
+    return codes
 
 
 def one_of(codes: np.ndarray, number: int) -> np.ndarray:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from robir.capture.camera import Camera
+from robir.capture.capture import Capture
 
 CENTRE = np.array([3.0, -2.0, 5.0])
 AIM = CENTRE + np.array([0.15, 0.0, 0.0])
@@ -90,3 +91,19 @@ def surface_points(count: int = 4000) -> np.ndarray:
     distance = trace(origins, -direction)
     hit = np.isfinite(distance)
     return (origins - distance[:, None] * direction)[hit]
+
+
+def assert_bits_alike(first: Capture, second: Capture) -> None:
+    """The same views, pixels, cameras and bounds, to the last bit."""
+    assert first.bounds.radius == second.bounds.radius
+    for one, two in zip(first.views, second.views, strict=True):
+        assert (one.name, one.split) == (two.name, two.split)
+        assert np.array_equal(one.image_display, two.image_display)
+        assert np.array_equal(one.mask, two.mask)
+        assert np.array_equal(one.camera.camera_to_world, two.camera.camera_to_world)
+        assert (one.camera.fx, one.camera.fy, one.camera.cx, one.camera.cy) == (
+            two.camera.fx,
+            two.camera.fy,
+            two.camera.cx,
+            two.camera.cy,
+        )

@@ -162,17 +162,28 @@ class PhotographCheck:
             found[part] = apart.argmin(1)
         return found
 
+    def errors(self, asset: Asset) -> Floats:
+        """(N, V) squared display errors, 0..1, of all observations; anything where none is."""
+        return self._squared(self._codes(self._radiance(asset)))
+
+    def is_worse(self, errors: Floats, than: Floats) -> bool:
+        """Whether errors (N, V) are larger than others by more than chance, over photographs."""
+        valid = self._seen.weight > 0
+        test = HeldOutTest.of(than[valid], errors[valid], (valid.nonzero()[1],))
+        return test.gain < -_MARGIN * test.error
+
     def loss(self, asset: Asset) -> Loss:
         """How each block of an asset is shown, against the mean of the photographs."""
-        ours = self._codes(self._radiance(asset))
-        photo = self._seen.display.astype(np.float32) / 255
+        return self.loss_by(self.errors(asset))
+
+    def loss_by(self, errors: Floats) -> Loss:
+        """The same by `errors` of an asset."""
         valid = self._seen.weight > 0
         count, views = len(self._seeds), valid.shape[1]
         cell = self._block[:, None] * views + np.arange(views)
         size = np.bincount(cell[valid], minlength=count * views).reshape(count, views)
         tables = []
-        for shown in (ours, self._mean):
-            squared = ((shown - photo) ** 2).mean(2)
+        for squared in (errors, self._squared(self._mean)):
             total = np.bincount(cell[valid], squared[valid], count * views)
             tables.append(total.reshape(count, views) / np.maximum(size, 1))
         is_compared = size > 0
@@ -185,13 +196,10 @@ class PhotographCheck:
         mine, mean = (np.where(hidden, np.nan, values).astype(np.float32) for values in means)
         return Loss(ours=mine, mean=mean, error=error.astype(np.float32))
 
-    def errors(self, asset: Asset) -> tuple[Floats, Rows]:
-        """Squared display errors (M,), 0..1, of all observations, and their photographs (M,)."""
-        valid = self._seen.weight > 0
+    def _squared(self, codes: Floats) -> Floats:
+        """(N, V) squared difference of codes (N, V, 3) to the photographs."""
         photo = self._seen.display.astype(np.float32) / 255
-        return ((self._codes(self._radiance(asset)) - photo) ** 2).mean(2)[valid], valid.nonzero()[
-            1
-        ]
+        return ((codes - photo) ** 2).mean(2)
 
     def _radiance(self, asset: Asset) -> Floats:
         """(N, V, 3) that an asset sends to the photographs' cameras."""
@@ -232,13 +240,13 @@ def check_asset(
     of_texel = check.blocks(texels.position, texels.normal)
     of_sample = check.blocks(surfels.position, surfels.normal)
     taken: dict[str, float] = dict.fromkeys(_PARTS, 0.0)
+    errors = check.errors(asset)
     if asset.specular.has_highlights:
         matt = _matt(asset, read)
-        (plain, view), (rich, _) = check.errors(matt), check.errors(asset)
-        test = HeldOutTest.of(plain, rich, (view,))
-        if test.gain < -_MARGIN * test.error:
-            asset, taken["specular"] = matt, 1.0
-    loss = check.loss(asset)
+        without = check.errors(matt)
+        if check.is_worse(errors, without):
+            asset, errors, taken["specular"] = matt, without, 1.0
+    loss = check.loss_by(errors)
     for part in _PARTS:
         wanted = loss.beyond(_LOSS)
         tried = _without(part, asset, wanted[of_sample], read) if wanted.any() else None

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from capture import writers
-from capture.scene import surface_points
+from capture.scene import assert_bits_alike, surface_points
 
 from robir.capture import views
 from robir.capture.capture import Capture
@@ -124,13 +124,7 @@ def test_another_format_of_the_same_views_is_the_same_capture_to_the_bit(shots, 
     (studio / "transforms.json").write_text(json.dumps(both))
     first, second = read(synthetic), read(studio)
     assert [first.format, second.format] == ["nerf-synthetic", "nerfstudio"]
-    assert first.bounds.radius == second.bounds.radius
-    for one, other in zip(first.views, second.views, strict=True):
-        assert (one.name, one.split) == (other.name, other.split)
-        assert np.array_equal(one.image_display, other.image_display)
-        assert np.array_equal(one.mask, other.mask)
-        assert np.array_equal(one.camera.camera_to_world, other.camera.camera_to_world)
-        assert one.camera.fx == other.camera.fx and one.camera.cx == other.camera.cx
+    assert_bits_alike(first, second)
 
 
 def test_without_test_views_every_eighth_is_held_out(shots, tmp_path):
