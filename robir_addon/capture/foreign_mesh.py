@@ -45,6 +45,7 @@ def convert_apart(
         words = ["mesh", str(file), str(made), "--within", str(most_bytes)]
         command, environment = blender_command(words)
         environment.pop("ROBIR_FOLLOWED", None)
+        environment["OPENBLAS_NUM_THREADS"] = "1"  # a buffer a thread, see `bound`
         try:
             done = subprocess.run(
                 command,
@@ -90,6 +91,8 @@ def bound(most_bytes: int) -> None:
     if sys.platform == "linux":
         with suppress(OSError, AttributeError):  # the system kills it once its parent is gone
             ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    # OpenBLAS waits for memory for ever, so it takes its buffer before the limit holds
+    np.ones((64, 64)) @ np.ones((64, 64))
     with suppress(ImportError, ValueError, OSError):
         import resource
 
@@ -126,6 +129,8 @@ def convert(file: Path, out: Path) -> tuple[str, ...]:
                 export_morph=False,
             )
         except RuntimeError as fault:
+            if "MemoryError" in str(fault):  # the exporter's, which Blender hands on as a text
+                raise MemoryError from fault
             raise ResultError(
                 "{file} cannot be written ({fault})", file=out, fault=_cause(fault)
             ) from fault
