@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from appearance.texture.test_albedo import PAINTS, lit_floor
+from scipy.spatial import cKDTree
 
 from robir.appearance.photograph_check import Asset, PhotographCheck, check_asset
 from robir.appearance.texture.albedo import texel_albedo
@@ -97,8 +98,21 @@ def test_a_texture_that_was_smoothed_away_comes_back(floor):
     assert word.taken_back["smoothing"] > 0.05 and word.taken_back["metal"] == 0
     middle = patch & (np.abs(texels.position[:, 0]) < 0.15) & (texels.position[:, 1] < -0.25)
     np.testing.assert_allclose(
-        word.asset.values.albedo[middle], asset.values.albedo[middle], rtol=1e-3
+        word.asset.values.albedo[middle], asset.values.albedo[middle], rtol=0.02
     )
+
+
+def test_what_is_given_back_fades_towards_other_blocks(floor):
+    _, check, _, texels = floor
+    chosen = np.arange(len(check._seeds)) % 3 == 0
+    share = check.faded(chosen, texels.position, texels.normal)
+    held = chosen[check.blocks(texels.position, texels.normal)]
+    np.testing.assert_array_equal(share[share != 0.5] > 0.5, held[share != 0.5])
+    assert (share == 1).mean() > 0.02 and (share == 0).mean() > 0.2
+    _, beside = cKDTree(texels.position).query(texels.position, 5)
+    steps, hard = (np.abs(of[beside] - of[:, None]).max() for of in (share, held.astype(float)))
+    assert steps < 0.5 and hard == 1
+    assert (check.faded(np.ones_like(chosen), texels.position, texels.normal) == 1).all()
 
 
 def test_what_nothing_explains_is_reported(floor):

@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from robir.appearance.held_out_test import HeldOutTest
 from robir.appearance.light.problem import Problem
@@ -55,6 +56,9 @@ _MARGIN = 2.0
 # dB against the mean that a person sees. True metal under normals that are a few degrees off loses
 # less, and so does smoothing, which removes shading that the light did not explain on purpose.
 _LOSS = 3.0
+
+# share of the way from one block's middle to the next over which smoothing fades in and out
+_FADE = 0.4
 
 # display error that nobody sees beside a texture; it is added to both sides of a comparison
 _UNSEEN = 5.0 / 255
@@ -154,13 +158,16 @@ class PhotographCheck:
 
     def blocks(self, position: Floats, normal: Floats) -> Rows:
         """(N,) number of the block that each point belongs to."""
+        return cKDTree(self._seeds).query(_places(position, normal))[1].astype(np.int64)
+
+    def faded(self, chosen: NDArray[np.bool_], position: Floats, normal: Floats) -> Floats:
+        """(N,) share, 0..1, that blocks (B,) hold of each point: half of it where others begin."""
+        if chosen.all():
+            return np.ones(len(position), np.float32)
         places = _places(position, normal)
-        found = np.empty(len(places), np.int64)
-        for start in range(0, len(places), 8192):
-            part = slice(start, start + 8192)
-            apart = ((places[part, None] - self._seeds) ** 2).sum(2)
-            found[part] = apart.argmin(1)
-        return found
+        near, far = (cKDTree(self._seeds[some]).query(places)[0] for some in (chosen, ~chosen))
+        share = 0.5 + (far / np.maximum(near + far, 1e-12) - 0.5) / _FADE
+        return np.clip(share, 0, 1).astype(np.float32)
 
     def errors(self, asset: Asset) -> Floats:
         """(N, V) squared display errors, 0..1, of all observations; anything where none is."""
@@ -257,7 +264,11 @@ def check_asset(
         better = wanted & (np.nan_to_num(after.ours) < np.nan_to_num(loss.ours))
         if not better.any():
             continue
-        asset = _joined(asset, tried, better[of_sample], better[of_texel])
+        if part == "smoothing":
+            share = check.faded(better, texels.position, texels.normal)
+            asset = _faded(asset, tried, share)
+        else:
+            asset = _joined(asset, tried, better[of_sample], better[of_texel])
         loss = check.loss(asset)
         taken[part] = float(better.mean())
     worst = loss.decibels[loss.beyond(0.0)]
@@ -294,6 +305,12 @@ def _without(
     dull = np.full(len(chosen), MATTE, np.float32), np.zeros(len(chosen), np.float32)
     specular, _ = with_material(asset.problem, asset.light, asset.specular, affected, dull)
     return replace(asset, specular=specular, values=read(specular))
+
+
+def _faded(asset: Asset, other: Asset, share: Floats) -> Asset:
+    """The asset with so much of the other's albedo at each texel (N,); no edge between blocks."""
+    mixed = asset.values.albedo + share[:, None] * (other.values.albedo - asset.values.albedo)
+    return replace(asset, values=replace(asset.values, albedo=mixed))
 
 
 def _joined(
