@@ -23,7 +23,7 @@ def standard() -> RunConfig:
         geometry=replace(base.geometry, image_side=400, face_budget=20000, unwrap_seconds=120.0),
         transport=replace(base.transport, observation_side=400),
         appearance=replace(base.appearance, shading_size=1024, texture_size=4096),
-        export=replace(base.export, render_samples=128, render_max_side=800),
+        export=replace(base.export, render_samples=64, render_max_side=800),
     )
 
 

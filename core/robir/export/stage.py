@@ -24,7 +24,7 @@ from robir.jobs.context import StageContext
 from robir.jobs.paths import JobPaths
 from robir.transport.observe import spread_views
 
-REVISION = 15
+REVISION = 16
 
 RELIGHT_ENVIRONMENT = "city"  # a map of Blender's with a hard sun, which lit no capture of ours
 RELIT_VIEWS = 2  # most views that are rendered under it
