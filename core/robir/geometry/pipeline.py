@@ -23,7 +23,9 @@ from robir.geometry.mesh.facets import flattened
 from robir.geometry.mesh.simplify import decimate, with_creases
 from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.mesh.unwrap import unwrap
+from robir.geometry.prediction import Predictions
 from robir.geometry.rays import RaySampler, ReducedPhoto, reduce_view
+from robir.geometry.refine.pits import without_pits
 from robir.geometry.selection import Dense, Selection
 from robir.steps import Pipeline, Step
 from robir.workers import side_by_side
@@ -251,15 +253,28 @@ class PostProcessing:
     dense: Dense  # as it was extracted
     mesh: Mesh  # as far as it has got
     config: GeometryConfig  # the stage's configuration
+    predictions: Predictions | None  # photographs that predict each other
     warn: Callable[[str], None]  # takes a sentence for the user
 
 
 def post_processed(
-    dense: Dense, config: GeometryConfig, warn: Callable[[str], None], pipeline: Pipeline
+    dense: Dense,
+    config: GeometryConfig,
+    warn: Callable[[str], None],
+    pipeline: Pipeline,
+    predictions: Predictions | None = None,
 ) -> Mesh:
-    """The unwrapped mesh of an extracted surface."""
-    start = PostProcessing(dense=dense, mesh=dense.mesh, config=config, warn=warn)
+    """The unwrapped mesh of an extracted surface; without `predictions` pits stay."""
+    start = PostProcessing(
+        dense=dense, mesh=dense.mesh, config=config, predictions=predictions, warn=warn
+    )
     return pipeline.run(POST_PROCESSING, start).mesh
+
+
+def _fill_pits(state: PostProcessing) -> PostProcessing:
+    if state.predictions is None:
+        return state
+    return replace(state, mesh=without_pits(state.mesh, state.predictions))
 
 
 # what is done to the surface that was chosen, in this order
@@ -276,6 +291,12 @@ POST_PROCESSING: tuple[Step[PostProcessing], ...] = (
         source="quadric error metrics (Garland and Heckbert 1997)",
         run=lambda state: replace(state, mesh=decimate(state.mesh, state.dense.faces)),
         is_on_trial=False,
+    ),
+    Step(
+        name="pits",
+        purpose="fills lone craters that photographs do not ask for",
+        source="ours: depth below a mean curvature flow, medians over photographs",
+        run=_fill_pits,
     ),
     Step(
         name="unwrap",

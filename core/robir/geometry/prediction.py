@@ -47,6 +47,7 @@ _GRAZING = 0.15
 _HELD = 20.0  # observations by which a cell is held to mirror nothing
 _ROUNDS = 12  # turns of solving spots and map after each other
 _LEAST_VIEWS = 3  # photographs that must show a spot from which the map is learnt
+_LEAST_VIEWS_OF_SPREAD = 4  # photographs that must show a vertex before their differences count
 
 
 class _Spots(NamedTuple):
@@ -87,6 +88,43 @@ class Predictions:
     def mirroring(self, mesh: Mesh) -> float:
         """By how many standard errors photographs predict better with what a surface mirrors."""
         return lead(*self._both(mesh))
+
+    def spread(
+        self, meshes: tuple[Mesh, Mesh], rows: NDArray[np.int64]
+    ) -> tuple[float, float] | None:
+        """How far photographs differ about vertices (N,) of two meshes with the same faces.
+
+        The median difference from the median over the photographs that show a vertex on both,
+        display units, in the mean over the vertices; None where too few show any.
+        """
+        shown = []
+        for mesh in meshes:
+            tracer = EmbreeTracer(mesh.vertices, mesh.faces)
+            points = mesh.vertices[rows].astype(np.float64)
+            normals = mesh.normals[rows].astype(np.float64)
+            parts = side_by_side(
+                lambda other, at=(tracer, points, normals): self._facing(other, *at),
+                range(len(self._cameras)),
+            )
+            shown.append(tuple(np.stack(column, axis=1) for column in zip(*parts, strict=True)))
+        (first, on_first), (second, on_second) = shown
+        both = on_first & on_second
+        known = both.sum(1) >= _LEAST_VIEWS_OF_SPREAD
+        if not known.any():
+            return None
+        before, after = (
+            np.where(both[..., None], colours, np.nan)[known] for colours in (first, second)
+        )
+        return _spread(before), _spread(after)
+
+    def _facing(
+        self, other: int, tracer: EmbreeTracer, points: Array, normals: Array
+    ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        """Colours (P, 3) of points in a photograph, and whether (P,) it shows them well."""
+        colours, seen, _ = self._shown(tracer, other, points, normals)
+        towards = self._cameras[other].position - points
+        towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+        return colours, (seen > 0) & ((towards * normals).sum(1) > _GRAZING)
 
     def _both(self, mesh: Mesh) -> tuple[list[NDArray[np.float32]], list[NDArray[np.float32]]]:
         """Errors without and with what the surface mirrors."""
@@ -178,6 +216,12 @@ class Predictions:
         colours, coverage = shown[:3].T.numpy(), shown[3].numpy()
         seen = (held & free & (coverage > _WHOLE)).astype(np.float32)
         return colours, seen, mirrored_cells(normals, -directions)
+
+
+def _spread(colours: Array) -> float:
+    """Mean over points of the median difference from the median of colours (P, J, 3) with NaN."""
+    apart = np.abs(colours - np.nanmedian(colours, axis=1, keepdims=True)).mean(2)
+    return float(np.nanmedian(apart, axis=1).mean())
 
 
 def lead(errors: list[NDArray[np.float32]], others: list[NDArray[np.float32]]) -> float:

@@ -98,7 +98,7 @@ class Selection:
         *,
         holds_masks: bool,
     ) -> None:
-        self._views, self._predictions = views, Predictions(photos)
+        self._views, self.predictions = views, Predictions(photos)
         self._hulls, self._config, self._holds_masks = hulls, config, holds_masks
         self._is_done = config.stereo_side == 0
         self._stereo = self._by_depth_maps
@@ -121,12 +121,12 @@ class Selection:
 
     def is_mirror(self, surface: Sampled) -> bool:
         """Whether what is mirrored makes predictions better by more than a standard error."""
-        return self._predictions.mirroring(smooth_surface(surface)) > 1.0
+        return self.predictions.mirroring(smooth_surface(surface)) > 1.0
 
     def is_better(self, surface: Sampled, other: Sampled) -> bool:
         """Whether photographs predict each other better over a surface, what it bends counted."""
         mesh, than = smooth_surface(surface), smooth_surface(other)
-        ahead = lead(self._predictions.errors(than), self._predictions.errors(mesh))
+        ahead = lead(self.predictions.errors(than), self.predictions.errors(mesh))
         return weighed(ahead, bending(than) / bending(mesh)) > 0
 
     def has_better(self, field: Sampled) -> bool:
@@ -136,12 +136,12 @@ class Selection:
         self._is_done = True
         started = time.process_time()
         fitted = smooth_surface(field)
-        errors, bends = self._predictions.errors(fitted), bending(fitted)
+        errors, bends = self.predictions.errors(fitted), bending(fitted)
         candidates = []
         surfaces = {STEREO: self._stereo(), HULL: self._hulls[1]}
         for name, surface in surfaces.items():
             mesh = smooth_surface(surface)
-            ahead, more = lead(errors, self._predictions.errors(mesh)), bends / bending(mesh)
+            ahead, more = lead(errors, self.predictions.errors(mesh)), bends / bending(mesh)
             candidates.append(SurfaceCandidate(name, mesh, surface.lattice.cell, ahead, more))
         first = max(candidates, key=lambda candidate: candidate.lead)
         self.best = first if first.lead > 0 else None

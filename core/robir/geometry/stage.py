@@ -35,7 +35,7 @@ from robir.jobs.context import Choice, Reporter, StageContext
 from robir.jobs.paths import of_tile, replacing, write_json
 from robir.steps import Pipeline, Step, check_left_out
 
-REVISION = 45  # raised whenever the same input gives another result
+REVISION = 46  # raised whenever the same input gives another result
 
 MASKING = 0.02  # share of the stage that cutting masks again takes
 
@@ -162,7 +162,8 @@ def reconstruct(
         reporter.progress(0.86, "cleaning the mesh")
         surface = smooth_surface(Sampled(field.lattice, field.sdf))
         dense = Dense(surface, cell, config.face_budget)
-    mesh = post_processed(dense, config, reporter.warn, pipeline)
+    predictions = levels.selection.predictions
+    mesh = post_processed(dense, config, reporter.warn, pipeline, predictions)
     backdrop = levels.backdrop if best is None else None
     metrics: dict[str, float | str] = {
         "faces": len(mesh.faces),

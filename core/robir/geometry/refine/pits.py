@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Lone pits in a smooth surface, filled where photographs do not ask for them.
+
+A highlight moves over a surface from photograph to photograph, and a pit below it explains that as
+well as gloss does. A lone crater in an otherwise smooth surface is rare among true shapes, so it is
+filled unless photographs agree better about its bottom than about the filled surface. The same
+photographs are asked about both, and by medians: a highlight in a few of them counts for nothing.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import cg, spsolve
+
+from robir.geometry.mesh.isosurface import neighbour_mean, plain_mesh
+from robir.geometry.mesh.triangles import Mesh
+from robir.geometry.prediction import Predictions
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
+
+# lengths are in the unit frame, in which the object's radius is at most 1
+
+_SCALE = 0.08  # width of the mean curvature flow that makes the smooth surface
+_BELOW = 0.005  # depth below the smooth surface from which a vertex belongs to a pit
+_LEAST_DEPTH = 0.01  # of a pit that a person sees
+_MOST_SIZE = 0.15  # radius of a disc of a pit's area; what is wider is shape
+_RIM = 0.6  # of a pit's reach: the ring around it that is looked at
+# of a pit's depth: how far the ring lies off the smooth surface at most, in the mean; relief and
+# creases lie farther off
+_MOST_RELIEF = 0.5
+
+
+class Pit(NamedTuple):
+    """A crater and what would fill it."""
+
+    own: Rows  # its vertices
+    moved: Rows  # vertices that filling moves, the ring included
+    places: Array  # (M, 3) where these come to lie
+
+
+def without_pits(mesh: Mesh, predictions: Predictions) -> Mesh:
+    """A mesh without seams, unit frame, whose lone craters are filled unless photographs ask."""
+    for pit in pits(mesh):
+        vertices = mesh.vertices.copy()
+        vertices[pit.moved] = pit.places
+        filled = plain_mesh(vertices, mesh.faces)
+        spread = predictions.spread((mesh, filled), pit.own)
+        if spread is not None and spread[1] <= spread[0]:
+            mesh = filled
+    return mesh
+
+
+def pits(mesh: Mesh) -> list[Pit]:
+    """Hollows of a mesh, unit frame, in surroundings that are smooth."""
+    vertices, count = mesh.vertices.astype(np.float64), len(mesh.vertices)
+    joined, area = _joined(mesh), _vertex_areas(vertices, mesh.faces)
+    smooth = _flown(vertices, mesh.faces, area)
+    up = plain_mesh(smooth, mesh.faces).normals.astype(np.float64)
+    height = np.einsum("nd,nd->n", vertices - smooth, up)
+    low = np.flatnonzero(height < -_BELOW)
+    _, label = connected_components(joined[low][:, low], directed=False)
+    bend = sparse.csr_matrix(sparse.identity(count) - neighbour_mean(mesh.faces, count))
+    plate = sparse.csr_matrix(bend.T @ bend)
+    found = []
+    for number in range(label.max(initial=-1) + 1):
+        own = low[label == number]
+        depth, size = -height[own].min(), np.sqrt(area[own].sum() / np.pi)
+        away = np.linalg.norm(vertices - vertices[own].mean(0), axis=1)
+        reach = away[own].max()
+        if depth < _LEAST_DEPTH or size > _MOST_SIZE:
+            continue
+        moved = _spread_to(joined, own, away < (1 + _RIM) * reach)
+        ring = np.setdiff1d(moved, own)
+        if not len(ring) or np.abs(height[ring]).mean() > _MOST_RELIEF * depth:
+            continue
+        rest = np.setdiff1d(np.arange(count), moved)
+        pull = -(plate[moved][:, rest] @ vertices[rest])
+        places = spsolve(plate[moved][:, moved].tocsc(), pull)
+        found.append(Pit(own=own, moved=moved, places=places))
+    return found
+
+
+def _joined(mesh: Mesh) -> sparse.csr_matrix:
+    """(Nv, Nv) 1 for vertices that share an edge."""
+    rows = mesh.faces[:, [0, 1, 2]].ravel(), mesh.faces[:, [1, 2, 0]].ravel()
+    count = len(mesh.vertices)
+    one_way = sparse.csr_matrix((np.ones(len(rows[0])), rows), (count, count))
+    return sparse.csr_matrix(((one_way + one_way.T) > 0).astype(np.float64))
+
+
+def _vertex_areas(vertices: Array, faces: NDArray[np.int32]) -> Array:
+    """(Nv,) a third of the faces about each vertex."""
+    first, second, third = (vertices[faces[:, corner]] for corner in range(3))
+    third_of = np.linalg.norm(np.cross(second - first, third - first), axis=1) / 6
+    return np.bincount(faces.ravel(), np.repeat(third_of, 3), len(vertices))
+
+
+def _flown(vertices: Array, faces: NDArray[np.int32], area: Array) -> Array:
+    """Vertices (Nv, 3) after one implicit step of mean curvature flow (Desbrun et al. 1999)."""
+    ends = np.unique(np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0)
+    length = np.linalg.norm(vertices[ends[:, 0]] - vertices[ends[:, 1]], axis=1)
+    count = len(vertices)
+    weight = sparse.csr_matrix((1 / np.maximum(length, 1e-6), ends.T), (count, count))
+    weight = weight + weight.T
+    laplacian = sparse.diags(np.asarray(weight.sum(1)).ravel()) - weight
+    step = sparse.diags(area) + _SCALE**2 / 4 * length.mean() * laplacian
+    columns = [cg(step, area * own, x0=own, rtol=1e-5, maxiter=500)[0] for own in vertices.T]
+    return np.stack(columns, axis=1)
+
+
+def _spread_to(joined: sparse.csr_matrix, own: Rows, near: NDArray[np.bool_]) -> Rows:
+    """Vertices that hang together with some, by edges between vertices that are near."""
+    inside = np.zeros(len(near), bool)
+    inside[own] = True
+    while True:
+        wider = inside | ((joined @ inside > 0) & near)
+        if wider.sum() == inside.sum():
+            return np.flatnonzero(inside)
+        inside = wider

@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Lone craters go unless photographs show them; clefts, relief and what is wide are shape."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+
+from robir.geometry.mesh.isosurface import plain_mesh
+from robir.geometry.prediction import Predictions
+from robir.geometry.rays import reduce_view
+from robir.geometry.refine.pits import pits, without_pits
+from tests.geometry.scenes import ball, capture_of
+
+RADIUS = 0.8
+
+
+def grain(points):
+    """Display codes that change in all directions, over about a tenth of the radius."""
+    waves = np.sin(points @ np.array([[23.0, 5.0, -9.0], [-7.0, 21.0, 8.0], [11.0, -6.0, 19.0]]))
+    return 128 + 80 * waves
+
+
+def dented(shape, depth):
+    """A sphere that is lowered by `depth` times a shape of the unit directions (N, 3)."""
+    solid = ball(1.0, (0, 0, 0))
+    place = np.asarray(solid.vertices)
+    return plain_mesh(place * (RADIUS - depth * shape(place))[:, None], np.asarray(solid.faces))
+
+
+def crater(place):
+    """A round hollow about the direction between x and z."""
+    apart = np.linalg.norm(place - np.array([0.6, 0.0, 0.8]), axis=1)
+    return np.exp(-((apart / 0.13) ** 4))
+
+
+def relief(place):
+    """Knobs and hollows all over the upper half."""
+    return np.sin(20 * place).prod(1) * (place[:, 2] > 0)
+
+
+def bowl(place):
+    """A hollow like the crater, twice as wide, with a sharp rim."""
+    apart = np.linalg.norm(place - np.array([0.6, 0.0, 0.8]), axis=1)
+    return np.exp(-((apart / 0.24) ** 8))
+
+
+def solid_of(mesh):
+    return trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+
+
+def predictions_of(mesh):
+    capture = capture_of(solid_of(mesh), views=24, side=96, paint=grain)
+    return Predictions([reduce_view(view, 96) for view in capture.train])
+
+
+@pytest.fixture(scope="module")
+def of_the_sphere():
+    return predictions_of(dented(crater, 0.0))
+
+
+def radii(mesh, own):
+    return np.linalg.norm(mesh.vertices[own], axis=1)
+
+
+def test_a_crater_is_found_and_filled_up_to_the_surface_about_it():
+    mesh = dented(crater, 0.06)
+    (pit,) = pits(mesh)
+    hollow = crater(mesh.vertices / np.linalg.norm(mesh.vertices, axis=1, keepdims=True)) > 0.5
+    assert set(np.flatnonzero(hollow)) <= set(pit.own) <= set(pit.moved)
+    filled = np.linalg.norm(pit.places, axis=1)
+    np.testing.assert_allclose(filled, RADIUS, atol=0.012)
+
+
+def test_a_crater_that_photographs_do_not_show_goes(of_the_sphere):
+    mesh = dented(crater, 0.06)
+    (pit,) = pits(mesh)
+    before, after = of_the_sphere.spread((mesh, dented(crater, 0.0)), pit.own)
+    assert after < 0.6 * before
+    smooth = without_pits(mesh, of_the_sphere)
+    assert radii(smooth, pit.own).min() > RADIUS - 0.012
+    rest = np.setdiff1d(np.arange(len(mesh.vertices)), pit.moved)
+    np.testing.assert_array_equal(smooth.vertices[rest], mesh.vertices[rest])
+
+
+def test_a_crater_that_photographs_show_stays():
+    mesh = dented(crater, 0.06)
+    np.testing.assert_array_equal(without_pits(mesh, predictions_of(mesh)).vertices, mesh.vertices)
+
+
+def test_what_too_few_photographs_show_stays(of_the_sphere):
+    below = dented(lambda place: crater(place * [1.0, 1.0, -1.0]), 0.06)
+    (pit,) = pits(below)
+    assert of_the_sphere.spread((below, dented(crater, 0.0)), pit.own) is None
+    assert without_pits(below, of_the_sphere) is below
+
+
+@pytest.mark.parametrize(("shape", "depth"), [(bowl, 0.2), (crater, 0.04)])
+def test_what_is_wide_or_shallow_is_shape(shape, depth):
+    assert pits(dented(shape, depth)) == []
+
+
+def test_most_hollows_of_relief_are_shape(monkeypatch):
+    mesh = dented(relief, 0.08)
+    found = len(pits(mesh))
+    monkeypatch.setattr("robir.geometry.refine.pits._MOST_RELIEF", 10.0)
+    assert 2 * found < len(pits(mesh))
+    assert without_pits(mesh, predictions_of(mesh)) is mesh
