@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shlex
 import subprocess
 import sys
@@ -200,9 +201,10 @@ def made_by(script: str, folder: Path) -> Path:
     return folder
 
 
-def headless(*arguments, **words):
-    command = [sys.executable, "-m", "robir_addon.headless", "mesh", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, check=False, **words)
+def headless(file, out, *more):
+    """Convert in one process, or, without --within, in one of its own that may die."""
+    command = [sys.executable, "-m", "robir_addon.headless", "mesh", str(file), str(out), *more]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
 @pytest.fixture(scope="module")
@@ -213,7 +215,7 @@ def scans(tmp_path_factory) -> Path:
 
 def converted(file: Path, folder: Path) -> Path:
     out = folder / f"{file.stem}.glb"
-    run = headless(file, out)
+    run = headless(file, out, "--within", str(1 << 33))
     assert run.returncode == 0, run.stderr
     assert json.loads(run.stdout.splitlines()[-1])["files"] == [str(out)]
     assert [path.name for path in folder.iterdir() if path.name.startswith(".")] == []
@@ -370,13 +372,22 @@ def refused(file: Path, out: Path, sentence: str) -> None:
 
 
 def test_paths_that_make_no_sense_are_refused(scans, tmp_path):
+    from robir_addon.capture.foreign_mesh import convert_apart
+    from robir_addon.engine.errors import RequestError
+
     out, taken = tmp_path / "scan.glb", tmp_path / "taken.glb"
     taken.write_bytes(b"of the user")
+    for file, glb, sentence in (
+        (tmp_path / "gone.fbx", out, "gone.fbx does not exist or is no file"),
+        (tmp_path, out, "is of no kind that is converted here; give one of .fbx, .usd"),
+        (scans / "scan.obj", out, "is of no kind that is converted here"),
+        (scans / "scan.fbx", tmp_path / "scan.obj", "give it a name that ends in .glb"),
+        (scans / "scan.fbx", taken, "taken.glb exists already"),
+    ):
+        with pytest.raises(RequestError, match=re.escape(sentence)):
+            convert_apart(file, glb)
+    assert taken.read_bytes() == b"of the user"
     refused(tmp_path / "gone.fbx", out, "gone.fbx does not exist or is no file")
-    refused(tmp_path, out, "is of no kind that is converted here; give one of .fbx, .usd")
-    refused(scans / "scan.obj", out, "is of no kind that is converted here")
-    refused(scans / "scan.fbx", tmp_path / "scan.obj", "give it a name that ends in .glb")
-    refused(scans / "scan.fbx", taken, "taken.glb exists already")
 
 
 def test_the_engine_names_the_command_that_makes_a_mesh_it_reads(scans, tmp_path, monkeypatch):
