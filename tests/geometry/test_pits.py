@@ -8,9 +8,9 @@ import pytest
 import trimesh
 
 from robir.geometry.mesh.isosurface import plain_mesh
+from robir.geometry.pits import pits, without_pits
 from robir.geometry.prediction import Predictions
 from robir.geometry.rays import reduce_view
-from robir.geometry.refine.pits import pits, without_pits
 from tests.geometry.scenes import ball, capture_of
 
 RADIUS = 0.8
@@ -104,6 +104,6 @@ def test_what_is_wide_or_shallow_is_shape(shape, depth):
 def test_most_hollows_of_relief_are_shape(monkeypatch):
     mesh = dented(relief, 0.08)
     found = len(pits(mesh))
-    monkeypatch.setattr("robir.geometry.refine.pits._MOST_RELIEF", 10.0)
+    monkeypatch.setattr("robir.geometry.pits._MOST_RELIEF", 10.0)
     assert 2 * found < len(pits(mesh))
     assert without_pits(mesh, predictions_of(mesh)) is mesh

@@ -23,9 +23,9 @@ from robir.geometry.mesh.facets import flattened
 from robir.geometry.mesh.simplify import decimate, with_creases
 from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.mesh.unwrap import unwrap
+from robir.geometry.pits import without_pits
 from robir.geometry.prediction import Predictions
 from robir.geometry.rays import RaySampler, ReducedPhoto, reduce_view
-from robir.geometry.refine.pits import without_pits
 from robir.geometry.selection import Dense, Selection
 from robir.steps import Pipeline, Step
 from robir.workers import side_by_side

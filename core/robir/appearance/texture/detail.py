@@ -108,17 +108,17 @@ def detail_of(position: Floats, normal: Floats, lenses: Sequence[_Lens]) -> Floa
     """
     weight = np.zeros((len(position), _BEST_VIEWS), np.float32)
     detail = np.zeros((len(position), _BEST_VIEWS, 3), np.float32)
-    read = (
-        found
-        for some in blocks(len(lenses), _TOGETHER)
-        for found in side_by_side(lambda lens: lens.read(position, normal), lenses[some])
-    )
-    for texel, counts, own in read:
-        slot = weight[texel].argmin(1)
-        better = counts > weight[texel, slot]
-        texel, slot = texel[better], slot[better]
-        weight[texel, slot] = counts[better]
-        detail[texel, slot] = own[better]
+    for some in blocks(len(lenses), _TOGETHER):
+        least = weight.min(1)
+        read = side_by_side(
+            lambda lens, least=least: lens.read(position, normal, least), lenses[some]
+        )
+        for texel, counts, own in read:
+            slot = weight[texel].argmin(1)
+            better = counts > weight[texel, slot]
+            texel, slot = texel[better], slot[better]
+            weight[texel, slot] = counts[better]
+            detail[texel, slot] = own[better]
     return agreed(weight, detail)
 
 
@@ -229,9 +229,18 @@ class _Lens:
         radiance = self._curve.linear_from_display(image.float() / 255.0)
         return _Levels.of(radiance.float(), counts.float(), most)
 
-    def read(self, position: Floats, normal: Floats) -> tuple[NDArray[np.int64], Floats, Floats]:
-        """Texels (M,) that the photograph shows, their weights (M,), and their detail (M, 3)."""
+    def read(
+        self, position: Floats, normal: Floats, least: Floats
+    ) -> tuple[NDArray[np.int64], Floats, Floats]:
+        """Texels (M,) that the photograph shows, their weights (M,), and their detail (M, 3).
+
+        Of those whose weight is above a least one (N,) only: others cost time and count nothing.
+        """
         texel, place, scale, density = self._shown(position, normal)
+        counts = (density * self._sharpness**2) ** _STEEPNESS
+        above = counts > torch.from_numpy(least[texel])
+        texel, counts = texel[above.numpy()], counts[above]
+        place, scale = place[above], scale[above]
         if not len(texel):
             return texel, np.zeros(0, np.float32), np.zeros((0, 3), np.float32)
         levels = self._levels(self._solved * float(scale.max()))
@@ -242,8 +251,7 @@ class _Lens:
             (layer[kept, :3] / layer[kept, 3:]).clamp(min=1e-4).log() for layer in (fine, coarse)
         ]
         detail = (logs[0] - logs[1]).clamp(-_MOST_DETAIL, _MOST_DETAIL)
-        counts = (density[kept] * self._sharpness**2) ** _STEEPNESS
-        return texel[kept.numpy()], counts.numpy(), detail.numpy()
+        return texel[kept.numpy()], counts[kept].numpy(), detail.numpy()
 
     def _shown(
         self, position: Floats, normal: Floats
