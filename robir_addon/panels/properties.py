@@ -189,7 +189,7 @@ class ROBIR_PG_settings(bpy.types.PropertyGroup):
         set=lambda settings, number: _choose(settings, number),
     )
     light_folder: StringProperty(
-        name="Own Maps",
+        name="Own Lights",
         description="Folder with .exr or .hdr maps of your own, which the lights to choose from "
         "then include",
         subtype="DIR_PATH",
@@ -210,7 +210,7 @@ class ROBIR_PG_settings(bpy.types.PropertyGroup):
         soft_max=240,
     )
     turntable_side: IntProperty(
-        name="Lines",
+        name="Resolution",
         description="Shorter side of the film, pixels",
         default=1080,
         min=16,

@@ -91,7 +91,7 @@ class ROBIR_PT_no_engine(Panel, bpy.types.Panel):
             progress(box, context)
             return
         advice(box, context, told(status.text), told(status.cure), "INFO")
-        row = box.row(align=True)
+        row = big(box)
         if CAN_INSTALL:
             row.operator("robir.install_engine", text=install_text(context), icon="IMPORT")
         preferences_button(row, text="" if CAN_INSTALL else words("Preferences"))
@@ -220,12 +220,16 @@ class ROBIR_PT_reconstruct(Panel, bpy.types.Panel):
 
 def _draw_choices(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     """What is asked for, and the button that begins."""
-    settings, column = context.scene.robir, split(layout)
-    column.prop(settings, "preset")
-    column.prop(settings, "device")
-    column.prop(settings, "out")
+    settings = context.scene.robir
+    split(layout).prop(settings, "preset")
     big(layout).operator("robir.reconstruct", icon="PLAY")
     layout.operator("robir.delight", icon="SHADING_TEXTURE")
+    header, body = layout.panel("ROBIR_choices", default_closed=True)
+    header.label(text="Device and Folder")
+    if body is not None:
+        column = split(body)
+        column.prop(settings, "device")
+        column.prop(settings, "out")
 
 
 class ROBIR_PT_result(ResultPanel, bpy.types.Panel):
@@ -237,17 +241,12 @@ class ROBIR_PT_result(ResultPanel, bpy.types.Panel):
         layout, settings = self.layout, context.scene.robir
         row = layout.row(align=True)
         row.prop(settings, "shown", text="")
-        row.operator("robir.import_result", text="", icon="FILEBROWSER")
-        if not is_sample(settings.result):
-            row.operator("robir.refresh_result", text="", icon="FILE_REFRESH")
-        row.operator("robir.remove_result", text="", icon="X")
+        row.menu("ROBIR_MT_result", text="", icon="DOWNARROW_HLT")
         if is_sample(settings.result):
             big(layout).operator("robir.reconstruct_sample", icon="PLAY")
         row = layout.row(align=True)
         row.operator("robir.compare", icon="IMAGE_REFERENCE")
         row.operator("robir.open_report", icon="URL")
-        row.operator("robir.show_few_views", text="", icon="HIDE_OFF")
-        row.operator("robir.match_view_transform", text="", icon="COLOR")
         summary = shown_summary(settings)
         if summary is None:
             return
@@ -262,6 +261,8 @@ class ROBIR_PT_result(ResultPanel, bpy.types.Panel):
                 paragraph(facts, context, fact, "DOT")
             for warning in summary.warnings:
                 paragraph(body, context, warning)
+            body.operator("robir.show_few_views", icon="HIDE_OFF")
+            body.operator("robir.match_view_transform", icon="COLOR")
 
 
 class ROBIR_PT_place(ResultPanel, bpy.types.Panel):
@@ -287,23 +288,22 @@ class ROBIR_PT_relight(ResultPanel, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = self.layout, context.scene.robir
         strength, task = strength_of(context.scene), context.window_manager.robir.task
-        row = layout.row(align=True)
-        row.prop(settings, "light", text="")
-        row.operator("robir.use_environment", text="", icon="FILEBROWSER")
+        layout.prop(settings, "light", text="")
         if light_pictures(settings.result):
             layout.template_icon_view(settings, "light", show_labels=True, scale=7.0)
         elif task != "lights":
-            layout.operator("robir.picture_lights", icon="LIGHTPROBE_SPHERE")
+            big(layout).operator("robir.picture_lights", icon="LIGHTPROBE_SPHERE")
         column = split(layout)
         if strength is not None:
             column.prop(strength, "default_value", text="Strength")
         column.prop(settings, "rotation")
         if task in ("turntable", "lights"):
             progress(layout, context)
-        layout.operator("robir.into_photograph", icon="IMAGE_BACKGROUND")
         header, body = layout.panel("ROBIR_film", default_closed=True)
-        header.label(text="Film and Own Lights")
+        header.label(text="Photograph, Film, Own Lights")
         if body is not None:
+            body.operator("robir.into_photograph", icon="IMAGE_BACKGROUND")
+            body.operator("robir.use_environment", icon="FILEBROWSER")
             column = split(body)
             column.prop(settings, "light_folder")
             column.prop(settings, "use_sun_lamp")
@@ -319,20 +319,33 @@ class ROBIR_PT_export(ResultPanel, bpy.types.Panel):
     bl_label = "Export"
 
     def draw(self, context: bpy.types.Context) -> None:
-        self.layout.operator("robir.export_game", icon="FILE_3D")
-        row = self.layout.row(align=True)
-        row.operator("robir.export_glb", icon="EXPORT")
-        row.menu("ROBIR_MT_exports", text="Other Files")
+        big(self.layout).operator("robir.export_game", icon="FILE_3D")
+        self.layout.menu("ROBIR_MT_exports", icon="EXPORT")
 
 
-class ROBIR_MT_exports(bpy.types.Menu):
-    """Kinds of files beside GLB."""
+class _Menu:
+    """Operators below each other."""
 
-    bl_label = "Other Files"
+    names: tuple[str, ...]
 
     def draw(self, _context: bpy.types.Context) -> None:
-        for name in ("export_usd", "export_textures", "mark_asset"):
+        """Draw them."""
+        for name in self.names:
             self.layout.operator(f"robir.{name}")
+
+
+class ROBIR_MT_result(_Menu, bpy.types.Menu):
+    """Results brought in, read anew and taken out."""
+
+    bl_label = "Result"
+    names = ("import_result", "refresh_result", "remove_result")
+
+
+class ROBIR_MT_exports(_Menu, bpy.types.Menu):
+    """The object as it stands in the scene, in files."""
+
+    bl_label = "GLB, USD, Textures"
+    names = ("export_glb", "export_usd", "export_textures", "mark_asset")
 
 
 class ROBIR_PT_library(Panel, bpy.types.Panel):

@@ -56,7 +56,7 @@ def looking(settings, state, result):
 def looked(settings, state, result):
     chosen(settings, state, result)
     state.looked_at = settings.capture
-    state.recognised = "40 photographs, NeRF-synthetic"
+    state.recognised = "40 photographs with cameras (nerf-synthetic)"
     for level in ("note", "error", "warning"):
         finding = state.findings.add()
         finding.level = level
@@ -179,6 +179,22 @@ def filming(settings, state, result):
     state.task, state.fraction, state.message = "turntable", 0.5, "frame 24 of 48"
 
 
+def in_trouble(settings, state, result):
+    failed(settings, state, result)
+    for name in ("r_1", "r_2"):
+        settings.photographs.add().name = name
+    state.findings[0].level, state.findings[0].code = "warning", "coverage-gap"
+    state.findings[1].code = "missing-images"
+    state.findings[2].code, state.findings[2].files = "blurred", "r_1"
+    bpy.data.collections.new("Not photographed")
+
+
+def crowded(settings, state, result):
+    relit(settings, state, result)
+    filming(settings, state, result)
+    state.error, state.error_cure = SENTENCE, "Press it again"
+
+
 def installing(settings, state, result):
     state.task, state.fraction, state.message = "install", 0.1, "downloading torch"
 
@@ -196,7 +212,7 @@ STATES = {
     for function in (
         nothing, chosen, looking, looked, lacking, faultless, undone, another, started, running,
         stopped, failed, offline, done, knowing, relit, pictured, doubtful, unreadable, damaged,
-        filming, installing, checking, engine_checked,
+        filming, in_trouble, crowded, installing, checking, engine_checked,
     )
 }  # fmt: skip
 
