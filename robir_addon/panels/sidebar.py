@@ -112,7 +112,6 @@ class ROBIR_PT_capture(Panel, bpy.types.Panel):
         if body is not None:
             _draw_capture(body, context)
             if settings.capture:
-                _draw_check(body, context)
                 _draw_choices(body, context)
 
 
@@ -145,6 +144,8 @@ def _draw_capture(layout: bpy.types.UILayout, context: bpy.types.Context) -> Non
         progress(layout, context)
     elif state.recognised and _is_looked_at(context):
         paragraph(layout, context, state.recognised, "CHECKMARK")
+    if _is_looked_at(context) and (state.recognised or state.findings):
+        _draw_check(layout, context)
     header, body = layout.panel("ROBIR_object", default_closed=True)
     header.label(text="Masks and Photographs")
     if body is None:
@@ -158,23 +159,8 @@ def _draw_capture(layout: bpy.types.UILayout, context: bpy.types.Context) -> Non
     draw_photographs(body, settings)
 
 
-class ROBIR_PT_check(Panel, bpy.types.Panel):
-    """Findings of the check, worst first, each with its cure."""
-
-    bl_label = "Check"
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return not _is_over(context) and _has_findings(context)
-
-    def draw(self, context: bpy.types.Context) -> None:
-        _draw_check(self.layout, context)
-
-
 def _draw_check(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """Faults in boxes; what is only good to know folded away."""
-    if not _has_findings(context):
-        return
+    """Faults in boxes, worst first, each with its cure; what is only good to know folded away."""
     settings, findings = context.scene.robir, list(context.window_manager.robir.findings)
     faults = [f for level in _FAULT_ICONS for f in findings if f.level == level]
     notes = [f for f in findings if f.level == "note"]
@@ -393,11 +379,6 @@ def _is_over(context: bpy.types.Context) -> bool:
     """Whether photographs and their reconstruction are done, and what is next is the result."""
     at_work = context.window_manager.robir.task == "reconstruct"
     return bool(context.scene.robir.result) and not at_work
-
-
-def _has_findings(context: bpy.types.Context) -> bool:
-    state = context.window_manager.robir
-    return _is_looked_at(context) and bool(state.recognised or state.findings)
 
 
 def _is_looked_at(context: bpy.types.Context) -> bool:

@@ -116,6 +116,13 @@ def offline(settings, state, result):
     state.error, state.error_cure = engine.OFFLINE, "Turn it on"
 
 
+def refused(settings, state, result):
+    try:
+        bpy.ops.robir.install_engine()
+    except RuntimeError:
+        assert state.error
+
+
 def done(settings, state, result):
     looked(settings, state, result)
     settings.result = result
@@ -211,8 +218,8 @@ STATES = {
     function.__name__: function
     for function in (
         nothing, chosen, looking, looked, lacking, faultless, undone, another, started, running,
-        stopped, failed, offline, done, knowing, relit, pictured, doubtful, unreadable, damaged,
-        filming, in_trouble, crowded, installing, checking, engine_checked,
+        stopped, failed, offline, refused, done, knowing, relit, pictured, doubtful, unreadable,
+        damaged, filming, in_trouble, crowded, installing, checking, engine_checked,
     )
 }  # fmt: skip
 
@@ -248,6 +255,7 @@ def draw_everything(state, result):
             answer["wide"] += layout.wide
             if not is_open and "DEFAULT_CLOSED" not in getattr(cls, "bl_options", ()):
                 answer["controls"] = answer.get("controls", 0) + layout.controls()
+                answer["at_once"] = answer.get("at_once", []) + layout.texts()
             answer["pictures"] = answer.get("pictures", 0) + layout.pictures()
             answer["files"] += touched
     answer["milliseconds"] = 1000.0 * min(seconds_to_draw() for _ in range(TRIALS))

@@ -52,8 +52,8 @@ def test_every_panel_can_be_drawn_in_every_state(seen):
 def test_each_panel_appears_in_its_state(seen):
     always = {"capture", "engine"}
     more = {
-        "looked": {"check", "reconstruct"},
-        "failed": {"check", "notice"},
+        "looked": {"reconstruct"},
+        "failed": {"notice"},
         "stopped": {"notice"},
         "done": {"result", "relight", "export"},
         "chosen": {"known"},
@@ -63,7 +63,6 @@ def test_each_panel_appears_in_its_state(seen):
         assert always <= names, state
         assert names >= more.get(state, set()), state
     for state, absent in (
-        ("nothing", "check"),
         ("nothing", "relight"),
         ("nothing", "known"),
         ("running", "notice"),
@@ -75,6 +74,15 @@ def test_few_controls_are_seen_until_something_is_unfolded(seen):
     controls = {state: found["controls"] for state, found in seen["states"].items()}
     assert max(controls.values()) <= 15, controls
     assert min(controls[state] for state in ("in_trouble", "crowded")) > 12, "the worst are tried"
+
+
+def test_a_refusal_is_said_once_where_one_looks(seen):
+    for state, sentence in (
+        ("refused", "Blender is not allowed to go online"),
+        ("failed", "The engine stopped without saying why"),
+        ("crowded", "The engine stopped without saying why"),
+    ):
+        assert " ".join(seen["states"][state]["at_once"]).count(sentence) == 1, state
 
 
 def test_what_matters_is_said(seen):

@@ -88,7 +88,7 @@ END = """
   buttons above change the view, show single pixels and wipe one picture over another.
 - **What You Know** accepts a known colour, a Sun lamp or a tone curve, and so fixes the scale of
   brightness: [uncertainty.md](uncertainty.md).
-- **Where to photograph next**: *Check* tints the sides of the bounds that no photograph shows. A
+- **Where to photograph next**: *Capture* tints the sides of the bounds that no photograph shows. A
   button under *Details* of *Result* tints the parts that no or few photographs show.
 - **Export for Games** writes GLB and USD in levels of detail. The object stands on the floor,
   without its ground, and a normal map holds its fine shape. A menu below it writes what stands in
