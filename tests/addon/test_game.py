@@ -221,5 +221,5 @@ def test_a_browser_shows_the_levels_as_cycles_does(game, tmp_path):
         (shown, browser), (there, cycles) = (
             coloured(Image.open(source)) for source in (io.BytesIO(content), out / f"{level}.png")
         )
-        assert (shown & there).sum() > 0.95 * (shown | there).sum(), level
-        assert np.abs(browser - cycles).max() < 0.06, (level, browser, cycles)
+        assert (shown & there).sum() > 0.97 * (shown | there).sum(), level
+        assert np.abs(browser - cycles).max() < 0.03, (level, browser, cycles)
