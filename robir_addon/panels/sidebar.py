@@ -309,29 +309,24 @@ class ROBIR_PT_export(ResultPanel, bpy.types.Panel):
         self.layout.menu("ROBIR_MT_exports", icon="EXPORT")
 
 
-class _Menu:
-    """Operators below each other."""
-
-    names: tuple[str, ...]
-
-    def draw(self, _context: bpy.types.Context) -> None:
-        """Draw them."""
-        for name in self.names:
-            self.layout.operator(f"robir.{name}")
-
-
-class ROBIR_MT_result(_Menu, bpy.types.Menu):
+class ROBIR_MT_result(bpy.types.Menu):
     """Results brought in, read anew and taken out."""
 
     bl_label = "Result"
-    names = ("import_result", "refresh_result", "remove_result")
+
+    def draw(self, _context: bpy.types.Context) -> None:
+        for name in ("import_result", "refresh_result", "remove_result"):
+            self.layout.operator(f"robir.{name}")
 
 
-class ROBIR_MT_exports(_Menu, bpy.types.Menu):
+class ROBIR_MT_exports(bpy.types.Menu):
     """The object as it stands in the scene, in files."""
 
     bl_label = "GLB, USD, Textures"
-    names = ("export_glb", "export_usd", "export_textures", "mark_asset")
+
+    def draw(self, _context: bpy.types.Context) -> None:
+        for name in ("export_glb", "export_usd", "export_textures", "mark_asset"):
+            self.layout.operator(f"robir.{name}")
 
 
 class ROBIR_PT_library(Panel, bpy.types.Panel):
