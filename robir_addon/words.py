@@ -34,9 +34,15 @@ def told(said: str | Exception, /, **values: object) -> str:
 
 
 def reported(fault: RuntimeError) -> str:
-    """What an operator reported that another one has called, without Blender's word before it."""
+    """What an operator reported that another one has called, without Blender's words before it."""
     kind = bpy.app.translations.pgettext_rpt("Error")
-    return str(fault).removeprefix("Error: ").removeprefix(f"{kind}: ").strip()
+    return (
+        str(fault)
+        .rpartition(".poll() ")[2]
+        .removeprefix("Error: ")
+        .removeprefix(f"{kind}: ")
+        .strip()
+    )
 
 
 def read_catalogue(file: Path) -> dict[tuple[str, str], str]:

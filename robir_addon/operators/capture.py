@@ -28,14 +28,6 @@ from .shared import (
     unless,
 )
 
-_FORMATS = {
-    "nerf-synthetic": "NeRF-synthetic",
-    "nerfstudio": "nerfstudio",
-    "colmap": "COLMAP",
-    "neus": "NeuS",
-    "llff": "LLFF",
-}
-
 _MOST_NAMES = 3  # files that a finding names in the panel; `robir check` names more
 # settings that say what the user knows of the capture
 _KNOWN = ("spot_texel", "spot_albedo", "spot_result", "spot_shape", "sun", "tone_curve")
@@ -110,10 +102,9 @@ class _Look:
                 viewport.clear_capture()
                 return
         else:
-            name = _FORMATS.get(self._facts["format"], self._facts["format"])
             count = self._facts["views"] + self._facts["held_out"]
-            text = "{count} photographs, {name}"
-            state.recognised = told(text, name=name, count=count)
+            text = "{count} photographs with cameras ({name})"
+            state.recognised = told(text, name=self._facts["format"], count=count)
         try:
             monitor.do_in_steps(viewport.show_capture(scene, self._facts))
         except RuntimeError as fault:

@@ -34,7 +34,7 @@ class ROBIR_OT_compare(Operator, bpy.types.Operator):
 
     view: StringProperty(
         name="View",
-        description="Name of the photograph; empty takes one that was kept aside",
+        description="Name of the photograph; empty takes one that was held out",
         options={"SKIP_SAVE"},
     )
 

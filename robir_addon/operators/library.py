@@ -17,7 +17,7 @@ from ..work.worker import program
 from .shared import Operator, folder_property, has_engine, unless
 
 _has_library = unless(
-    lambda context: context.scene.robir.library, "Choose a library, or run a batch first"
+    lambda context: context.scene.robir.library, "Choose a library, or reconstruct a folder first"
 )
 
 
@@ -26,7 +26,7 @@ class ROBIR_OT_run_batch(Operator, bpy.types.Operator):
     is left alone, and Blender may be closed meanwhile.
     """
 
-    bl_label = "Run Batch"
+    bl_label = "Reconstruct a Folder"
     bl_options = {"REGISTER"}
     needs = (has_engine,)
 
@@ -65,9 +65,9 @@ class ROBIR_OT_run_batch(Operator, bpy.types.Operator):
 
 
 class ROBIR_OT_stop_batch(Operator, bpy.types.Operator):
-    """End what the batch has at work; Run Batch goes on from the finished stages."""
+    """End what is at work; Reconstruct a Folder goes on from the finished stages."""
 
-    bl_label = "Pause Batch"
+    bl_label = "Pause"
     bl_options = {"REGISTER"}
     needs = (_has_library,)
 
@@ -110,14 +110,14 @@ class ROBIR_OT_prefer_in_batch(_CaptureOperator, bpy.types.Operator):
 class ROBIR_OT_add_library(Operator, bpy.types.Operator):
     """Show the library's assets in the asset browser of every file."""
 
-    bl_label = "Add to Preferences"
+    bl_label = "Show in Asset Browser"
     bl_options = {"REGISTER"}
     needs = (_has_library,)
 
     def work(self, context: bpy.types.Context) -> None:
         root = batch.chosen(context.scene.robir).root
         if not root.is_dir():
-            raise RequestError("{folder} is no folder; run a batch first", folder=root)
+            raise RequestError("{folder} is no folder; reconstruct a folder first", folder=root)
         libraries = context.preferences.filepaths.asset_libraries
         if any(Path(known.path) == root for known in libraries):
             self.report({"INFO"}, told("{name} is in the Preferences already", name=root.name))

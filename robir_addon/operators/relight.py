@@ -24,9 +24,9 @@ _FILM_SAMPLES = 16  # Cycles samples a pixel of a film, before the noise is take
 
 
 class ROBIR_OT_use_environment(Operator, bpy.types.Operator, ImportHelper):
-    """Light the scene with a lat-long image, .exr or .hdr."""
+    """Light the scene with a panorama of your own, .exr or .hdr."""
 
-    bl_label = "Environment File"
+    bl_label = "Light from File"
     needs = (is_imported,)
 
     filter_glob: StringProperty(default="*.exr;*.hdr", options={"HIDDEN"})
@@ -102,7 +102,7 @@ class ROBIR_OT_turntable(_RenderingOperator, bpy.types.Operator):
 
     view: StringProperty(
         name="View",
-        description="Camera of the film; empty takes the first photograph kept aside",
+        description="Camera of the film; empty takes the first held-out photograph",
         options={"SKIP_SAVE"},
     )
 

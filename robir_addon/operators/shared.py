@@ -95,7 +95,10 @@ class WaitingOperator(Operator):
         except AddonError as error:
             return self.refuse(context, told(error))
         except RuntimeError as fault:  # how Blender passes on what another operator reported
-            self.report({"ERROR"}, reported(fault))
+            sentence = reported(fault)
+            if way == "INVOKE_DEFAULT":
+                return self.refuse(context, sentence)
+            self.report({"ERROR"}, sentence)
             return {"CANCELLED"}
 
     def begin(self, context: bpy.types.Context, way: str) -> set[str]:
@@ -104,11 +107,13 @@ class WaitingOperator(Operator):
 
 
 def refused(operator: bpy.types.Operator, context: bpy.types.Context, sentence: str) -> None:
-    """Report what the panel Notice says, unless it is seen: a pop-up would take the next click."""
+    """Report what the panel Notice says, unless it is seen, or the preferences, which say it too:
+    a pop-up would take the next click.
+    """
     areas = context.screen.areas if context.screen and not bpy.app.background else ()
     regions = [r for area in areas if area.type == "VIEW_3D" for r in area.regions]
     tabs = [r.active_panel_category for r in regions if r.type == "UI" and r.width > 1]
-    if _TAB not in tabs:
+    if _TAB not in tabs and (context.area is None or context.area.type != "PREFERENCES"):
         operator.report({"ERROR"}, sentence)
 
 

@@ -92,16 +92,15 @@ class ROBIR_PT_known(Panel, bpy.types.Panel):
         row.operator("robir.pick_spot", icon="CURSOR")
         if settings.spot_result:
             row.operator("robir.forget_spot", text="", icon="X")
-            u, v = settings.spot_texel
-            text = "Known paint at {u:.3f}, {v:.3f} of the texture"
-            paragraph(layout, context, words(text, u=u, v=v), "CHECKMARK")
+            text = "The colour of the dot on the object is known"
+            paragraph(layout, context, words(text), "CHECKMARK")
             split(layout).prop(settings, "spot_albedo")
         row = layout.row(align=True)
         row.operator("robir.take_sun", icon="LIGHT_SUN")
         if any(settings.sun):
             row.operator("robir.forget_sun", text="", icon="X")
             height = math.degrees(math.asin(max(-1.0, min(1.0, settings.sun[2]))))
-            text = "Known sun {height:.0f}\N{DEGREE SIGN} high"
+            text = "The sun stood {height:.0f}\N{DEGREE SIGN} high"
             paragraph(layout, context, words(text, height=height), "CHECKMARK")
         split(layout).prop(settings, "tone_curve")
         if settings.result:

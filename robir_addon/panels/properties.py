@@ -39,8 +39,8 @@ from ..words import told
 from ..work import batch, monitor
 
 
-def _folder(name: str, description: str) -> Any:
-    return StringProperty(name=name, description=description, subtype="DIR_PATH")
+def _folder(name: str, description: str, **more: Any) -> Any:
+    return StringProperty(name=name, description=description, subtype="DIR_PATH", **more)
 
 
 class ROBIR_PG_finding(bpy.types.PropertyGroup):
@@ -95,11 +95,10 @@ class ROBIR_PG_settings(bpy.types.PropertyGroup):
         name="Shift of the view", description="Where the origin of the capture's own frame is shown"
     )
     out: _folder("Result", "Folder for the result; empty makes one beside the capture")
-    library: StringProperty(
-        name="Library",
-        description="Folder of the results of many captures, one asset each; empty makes one "
-        "beside the folder of captures",
-        subtype="DIR_PATH",
+    library: _folder(
+        "Library",
+        "Folder of the results of many captures, one asset each; empty makes one beside the "
+        "folder of captures",
         update=lambda _settings, _context: batch.look(),
     )
     preset: EnumProperty(
@@ -121,10 +120,9 @@ class ROBIR_PG_settings(bpy.types.PropertyGroup):
         ),
         default="auto",
     )
-    result: StringProperty(
-        name="Shown result",
-        description="Result folder that the panels Result, Relight and Export work with",
-        subtype="DIR_PATH",
+    result: _folder(
+        "Shown result",
+        "Result folder that the panels Result, Relight and Export work with",
         update=lambda _settings, _context: read_shown(),
     )
     shown: EnumProperty(
@@ -188,11 +186,9 @@ class ROBIR_PG_settings(bpy.types.PropertyGroup):
         get=lambda settings: _shown_number(settings),
         set=lambda settings, number: _choose(settings, number),
     )
-    light_folder: StringProperty(
-        name="Own Maps",
-        description="Folder with .exr or .hdr maps of your own, which the lights to choose from "
-        "then include",
-        subtype="DIR_PATH",
+    light_folder: _folder(
+        "Own Lights",
+        "Folder with .exr or .hdr maps of your own, which the lights to choose from then include",
     )
     rotation: FloatProperty(
         name="Rotation",
@@ -210,7 +206,7 @@ class ROBIR_PG_settings(bpy.types.PropertyGroup):
         soft_max=240,
     )
     turntable_side: IntProperty(
-        name="Lines",
+        name="Resolution",
         description="Shorter side of the film, pixels",
         default=1080,
         min=16,

@@ -91,7 +91,7 @@ class ROBIR_PT_no_engine(Panel, bpy.types.Panel):
             progress(box, context)
             return
         advice(box, context, told(status.text), told(status.cure), "INFO")
-        row = box.row(align=True)
+        row = big(box)
         if CAN_INSTALL:
             row.operator("robir.install_engine", text=install_text(context), icon="IMPORT")
         preferences_button(row, text="" if CAN_INSTALL else words("Preferences"))
@@ -112,7 +112,6 @@ class ROBIR_PT_capture(Panel, bpy.types.Panel):
         if body is not None:
             _draw_capture(body, context)
             if settings.capture:
-                _draw_check(body, context)
                 _draw_choices(body, context)
 
 
@@ -145,6 +144,8 @@ def _draw_capture(layout: bpy.types.UILayout, context: bpy.types.Context) -> Non
         progress(layout, context)
     elif state.recognised and _is_looked_at(context):
         paragraph(layout, context, state.recognised, "CHECKMARK")
+    if _is_looked_at(context) and (state.recognised or state.findings):
+        _draw_check(layout, context)
     header, body = layout.panel("ROBIR_object", default_closed=True)
     header.label(text="Masks and Photographs")
     if body is None:
@@ -158,23 +159,8 @@ def _draw_capture(layout: bpy.types.UILayout, context: bpy.types.Context) -> Non
     draw_photographs(body, settings)
 
 
-class ROBIR_PT_check(Panel, bpy.types.Panel):
-    """Findings of the check, worst first, each with its cure."""
-
-    bl_label = "Check"
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return not _is_over(context) and _has_findings(context)
-
-    def draw(self, context: bpy.types.Context) -> None:
-        _draw_check(self.layout, context)
-
-
 def _draw_check(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """Faults in boxes; what is only good to know folded away."""
-    if not _has_findings(context):
-        return
+    """Faults in boxes, worst first, each with its cure; what is only good to know folded away."""
     settings, findings = context.scene.robir, list(context.window_manager.robir.findings)
     faults = [f for level in _FAULT_ICONS for f in findings if f.level == level]
     notes = [f for f in findings if f.level == "note"]
@@ -220,12 +206,16 @@ class ROBIR_PT_reconstruct(Panel, bpy.types.Panel):
 
 def _draw_choices(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     """What is asked for, and the button that begins."""
-    settings, column = context.scene.robir, split(layout)
-    column.prop(settings, "preset")
-    column.prop(settings, "device")
-    column.prop(settings, "out")
+    settings = context.scene.robir
+    split(layout).prop(settings, "preset")
     big(layout).operator("robir.reconstruct", icon="PLAY")
     layout.operator("robir.delight", icon="SHADING_TEXTURE")
+    header, body = layout.panel("ROBIR_choices", default_closed=True)
+    header.label(text="Device and Folder")
+    if body is not None:
+        column = split(body)
+        column.prop(settings, "device")
+        column.prop(settings, "out")
 
 
 class ROBIR_PT_result(ResultPanel, bpy.types.Panel):
@@ -237,17 +227,12 @@ class ROBIR_PT_result(ResultPanel, bpy.types.Panel):
         layout, settings = self.layout, context.scene.robir
         row = layout.row(align=True)
         row.prop(settings, "shown", text="")
-        row.operator("robir.import_result", text="", icon="FILEBROWSER")
-        if not is_sample(settings.result):
-            row.operator("robir.refresh_result", text="", icon="FILE_REFRESH")
-        row.operator("robir.remove_result", text="", icon="X")
+        row.menu("ROBIR_MT_result", text="", icon="DOWNARROW_HLT")
         if is_sample(settings.result):
             big(layout).operator("robir.reconstruct_sample", icon="PLAY")
         row = layout.row(align=True)
         row.operator("robir.compare", icon="IMAGE_REFERENCE")
         row.operator("robir.open_report", icon="URL")
-        row.operator("robir.show_few_views", text="", icon="HIDE_OFF")
-        row.operator("robir.match_view_transform", text="", icon="COLOR")
         summary = shown_summary(settings)
         if summary is None:
             return
@@ -262,6 +247,8 @@ class ROBIR_PT_result(ResultPanel, bpy.types.Panel):
                 paragraph(facts, context, fact, "DOT")
             for warning in summary.warnings:
                 paragraph(body, context, warning)
+            body.operator("robir.show_few_views", icon="HIDE_OFF")
+            body.operator("robir.match_view_transform", icon="COLOR")
 
 
 class ROBIR_PT_place(ResultPanel, bpy.types.Panel):
@@ -287,23 +274,22 @@ class ROBIR_PT_relight(ResultPanel, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = self.layout, context.scene.robir
         strength, task = strength_of(context.scene), context.window_manager.robir.task
-        row = layout.row(align=True)
-        row.prop(settings, "light", text="")
-        row.operator("robir.use_environment", text="", icon="FILEBROWSER")
+        layout.prop(settings, "light", text="")
         if light_pictures(settings.result):
             layout.template_icon_view(settings, "light", show_labels=True, scale=7.0)
         elif task != "lights":
-            layout.operator("robir.picture_lights", icon="LIGHTPROBE_SPHERE")
+            big(layout).operator("robir.picture_lights", icon="LIGHTPROBE_SPHERE")
         column = split(layout)
         if strength is not None:
             column.prop(strength, "default_value", text="Strength")
         column.prop(settings, "rotation")
         if task in ("turntable", "lights"):
             progress(layout, context)
-        layout.operator("robir.into_photograph", icon="IMAGE_BACKGROUND")
         header, body = layout.panel("ROBIR_film", default_closed=True)
-        header.label(text="Film and Own Lights")
+        header.label(text="Photograph, Film, Own Lights")
         if body is not None:
+            body.operator("robir.into_photograph", icon="IMAGE_BACKGROUND")
+            body.operator("robir.use_environment", icon="FILEBROWSER")
             column = split(body)
             column.prop(settings, "light_folder")
             column.prop(settings, "use_sun_lamp")
@@ -319,19 +305,27 @@ class ROBIR_PT_export(ResultPanel, bpy.types.Panel):
     bl_label = "Export"
 
     def draw(self, context: bpy.types.Context) -> None:
-        self.layout.operator("robir.export_game", icon="FILE_3D")
-        row = self.layout.row(align=True)
-        row.operator("robir.export_glb", icon="EXPORT")
-        row.menu("ROBIR_MT_exports", text="Other Files")
+        big(self.layout).operator("robir.export_game", icon="FILE_3D")
+        self.layout.menu("ROBIR_MT_exports", icon="EXPORT")
+
+
+class ROBIR_MT_result(bpy.types.Menu):
+    """Results brought in, read anew and taken out."""
+
+    bl_label = "Result"
+
+    def draw(self, _context: bpy.types.Context) -> None:
+        for name in ("import_result", "refresh_result", "remove_result"):
+            self.layout.operator(f"robir.{name}")
 
 
 class ROBIR_MT_exports(bpy.types.Menu):
-    """Kinds of files beside GLB."""
+    """The object as it stands in the scene, in files."""
 
-    bl_label = "Other Files"
+    bl_label = "GLB, USD, Textures"
 
     def draw(self, _context: bpy.types.Context) -> None:
-        for name in ("export_usd", "export_textures", "mark_asset"):
+        for name in ("export_glb", "export_usd", "export_textures", "mark_asset"):
             self.layout.operator(f"robir.{name}")
 
 
@@ -380,11 +374,6 @@ def _is_over(context: bpy.types.Context) -> bool:
     """Whether photographs and their reconstruction are done, and what is next is the result."""
     at_work = context.window_manager.robir.task == "reconstruct"
     return bool(context.scene.robir.result) and not at_work
-
-
-def _has_findings(context: bpy.types.Context) -> bool:
-    state = context.window_manager.robir
-    return _is_looked_at(context) and bool(state.recognised or state.findings)
 
 
 def _is_looked_at(context: bpy.types.Context) -> bool:

@@ -64,7 +64,7 @@ def _brightness(report: dict[str, Any]) -> str:
     levels = report.get("light_level")  # older results have none
     if not levels:
         return ""
-    text = "Brightness of albedo known to a factor of {factor:.2f}"
+    text = "Colours without light may be {factor:.1f} times too bright or dark"
     return words(text, factor=levels[-1]["within"])
 
 
@@ -72,11 +72,11 @@ def _facts(report: dict[str, Any]) -> list[str]:
     facts = []
     held_out = report["held_out"]
     if held_out["psnr"] is not None:
-        text = "{psnr:.1f} dB on {count} photographs kept aside"
+        text = "{count} held-out photographs are met to {psnr:.1f} dB (30: hard to tell apart)"
         facts.append(words(text, psnr=held_out["psnr"], count=held_out["views"]))
     facts += filter(None, [_brightness(report)])
     share, faces = 100.0 * report["seen_share"], report["mesh"]["faces"]
-    facts.append(words("{share:.0f} % of the surface was seen", share=share))
+    facts.append(words("{share:.0f} % of the surface was photographed", share=share))
     side = report["texture_size"]
     if tiles := report.get("tiles"):
         text = "{faces} triangles, textures of {count} tiles of {side} x {side}"

@@ -36,7 +36,7 @@ _WORDS = (
     ("do without them with --skip-missing", "press Leave Out"),
     ("with --set, ", "or take a lower preset, "),
     (", or try another --seed", ""),
-    ("run `robir check` on the capture", "look at the findings under Check"),
+    ("run `robir check` on the capture", "look at the findings under Capture"),
     ("Run `robir check` and look", "Look"),
     ("have that done with --fit-mesh and --resume, or export the mesh in the cameras' frame",
      "move the object there"),

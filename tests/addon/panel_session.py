@@ -56,7 +56,7 @@ def looking(settings, state, result):
 def looked(settings, state, result):
     chosen(settings, state, result)
     state.looked_at = settings.capture
-    state.recognised = "40 photographs, NeRF-synthetic"
+    state.recognised = "40 photographs with cameras (nerf-synthetic)"
     for level in ("note", "error", "warning"):
         finding = state.findings.add()
         finding.level = level
@@ -114,6 +114,13 @@ def failed(settings, state, result):
 def offline(settings, state, result):
     engine = import_module(f"{MODULE}.operators.engine")
     state.error, state.error_cure = engine.OFFLINE, "Turn it on"
+
+
+def refused(settings, state, result):
+    try:
+        bpy.ops.robir.install_engine()
+    except RuntimeError:
+        assert state.error
 
 
 def done(settings, state, result):
@@ -179,6 +186,22 @@ def filming(settings, state, result):
     state.task, state.fraction, state.message = "turntable", 0.5, "frame 24 of 48"
 
 
+def in_trouble(settings, state, result):
+    failed(settings, state, result)
+    for name in ("r_1", "r_2"):
+        settings.photographs.add().name = name
+    state.findings[0].level, state.findings[0].code = "warning", "coverage-gap"
+    state.findings[1].code = "missing-images"
+    state.findings[2].code, state.findings[2].files = "blurred", "r_1"
+    bpy.data.collections.new("Not photographed")
+
+
+def crowded(settings, state, result):
+    relit(settings, state, result)
+    filming(settings, state, result)
+    state.error, state.error_cure = SENTENCE, "Press it again"
+
+
 def installing(settings, state, result):
     state.task, state.fraction, state.message = "install", 0.1, "downloading torch"
 
@@ -195,8 +218,8 @@ STATES = {
     function.__name__: function
     for function in (
         nothing, chosen, looking, looked, lacking, faultless, undone, another, started, running,
-        stopped, failed, offline, done, knowing, relit, pictured, doubtful, unreadable, damaged,
-        filming, installing, checking, engine_checked,
+        stopped, failed, offline, refused, done, knowing, relit, pictured, doubtful, unreadable,
+        damaged, filming, in_trouble, crowded, installing, checking, engine_checked,
     )
 }  # fmt: skip
 
@@ -232,6 +255,7 @@ def draw_everything(state, result):
             answer["wide"] += layout.wide
             if not is_open and "DEFAULT_CLOSED" not in getattr(cls, "bl_options", ()):
                 answer["controls"] = answer.get("controls", 0) + layout.controls()
+                answer["at_once"] = answer.get("at_once", []) + layout.texts()
             answer["pictures"] = answer.get("pictures", 0) + layout.pictures()
             answer["files"] += touched
     answer["milliseconds"] = 1000.0 * min(seconds_to_draw() for _ in range(TRIALS))

@@ -88,8 +88,14 @@ class Recorder:
         return sum(function in kinds for function, _ in self.calls)
 
     def operators(self):
-        """Names of the operators that can be pressed."""
-        return [given["operator"] for _, given in self.calls if "operator" in given]
+        """Names of the operators that can be pressed, those in menus too."""
+        names = []
+        for _, given in self.calls:
+            names += [given["operator"]] if "operator" in given else []
+            if "menu" in given:
+                menu = Drawn(getattr(bpy.types, given["menu"]), self.is_open)
+                names += menu.draw_all(bpy.context).operators()
+        return names
 
 
 class OperatorButton:

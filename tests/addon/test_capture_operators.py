@@ -57,7 +57,7 @@ def refused(answer, *words: str) -> bool:
 def check_look(answer, capture, shots):
     assert not answer["poll"]
     assert answer["chosen"] == answer["again"] == [["FINISHED"], ""]
-    assert answer["recognised"] == "14 photographs, NeRF-synthetic"
+    assert answer["recognised"] == "14 photographs with cameras (nerf-synthetic)"
     assert "error" not in answer["levels"]
     assert answer["is_same"], "a second look made more of everything"
     assert answer["may_reconstruct"]
@@ -134,9 +134,9 @@ def test_a_missing_photograph_stops_nothing(own_blender, session, capture, shots
     assert refused(answer["chosen"], "1 of 14", "press Leave Out")
     assert answer["codes"] == ["missing-images"]
     assert answer["left_out"] == answer["again"] == [["FINISHED"], ""]
-    assert answer["recognised"] == "13 photographs, NeRF-synthetic"
+    assert answer["recognised"] == "13 photographs with cameras (nerf-synthetic)"
     assert len(answer["photographs"]) == 13
-    assert answer["one_less"] == "12 photographs, NeRF-synthetic"
+    assert answer["one_less"] == "12 photographs with cameras (nerf-synthetic)"
     assert [used for _, used, _ in answer["kept"]].count(False) == 1
     name = answer["photographs"][0]
     assert [name, False, "left out"] in answer["kept"]

@@ -64,7 +64,7 @@ def test_dropped_kept_and_gone(newest, extension_zip, captures, tmp_path):
     )  # fmt: skip
     dropped = answer["dropped"]
     assert dropped["drop"] == [["FINISHED"], str(plain)]
-    assert dropped["recognised"] == "14 photographs, NeRF-synthetic"
+    assert dropped["recognised"] == "14 photographs with cameras (nerf-synthetic)"
     assert dropped["cameras"] == 14
     assert dropped["undone"] == [0, ""]
     assert dropped["redone"] == [14, str(plain)]

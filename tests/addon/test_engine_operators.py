@@ -4,10 +4,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from addon.blenders import MODULE, run
 from addon.wheelhouse import stand_ins
+
+from robir_addon.operators import shared
 
 pytestmark = pytest.mark.blender
 
@@ -100,6 +103,62 @@ def test_life_of_an_engine_that_robir_makes(own_blender, extension_zip, tmp_path
     assert " GB in " in answer["goes"]
     assert answer["remove"] == [["FINISHED"], False]
     assert answer["same"]
+
+
+REFUSED = """
+def main(archive):
+    preferences, state = start(archive)
+    system, answer, said = bpy.context.preferences.system, {}, []
+
+    class Clicked(module("operators.shared").WaitingOperator):
+        # without a window Blender takes every click for a script's call
+        begin = module("operators.engine").ROBIR_OT_allow_online.begin
+        report = lambda self, kind, sentence: said.append(sentence)
+
+    for engine in ("MANAGED", "EXISTING"):
+        preferences.engine, preferences.wheels = engine, "/no wheels"
+        system.use_online_access = False
+        said.clear()
+        came = list(Clicked().invoke(bpy.context, None))
+        allowed = system.use_online_access
+        answer[engine] = came, list(said), state.error, state.error_cure, allowed
+    return answer
+"""
+
+
+def test_permission_is_given_where_the_installation_is_refused(
+    own_blender, extension_zip, tmp_path
+):
+    """By what the button *Allow Online Access and Install* runs."""
+    answer = run(own_blender, COMMON + REFUSED, str(extension_zip), user=tmp_path)
+    for engine, sentence, cure in (
+        ("MANAGED", "The folder of wheels /no wheels does not exist", "Choose another"),
+        ("EXISTING", "An existing environment is chosen in the preferences", ""),
+    ):
+        came, (report,), error, error_cure, is_allowed = answer[engine]
+        assert came == ["CANCELLED"]
+        assert is_allowed
+        assert error == sentence
+        assert error_cure.startswith(cure)
+        assert report.startswith(sentence), "no words of Blender's, no traceback"
+
+
+def area(kind: str, tab: str) -> SimpleNamespace:
+    region = SimpleNamespace(type="UI", width=280, active_panel_category=tab)
+    return SimpleNamespace(type=kind, regions=[region])
+
+
+@pytest.mark.parametrize(
+    ("kind", "tab", "is_reported"),
+    [("VIEW_3D", "RobIR", False), ("VIEW_3D", "Item", True), ("PREFERENCES", "", False)],
+)
+def test_a_refusal_pops_up_only_where_nothing_else_says_it(monkeypatch, kind, tab, is_reported):
+    monkeypatch.setattr(shared, "bpy", SimpleNamespace(app=SimpleNamespace(background=False)))
+    said, clicked = [], area(kind, tab)
+    operator = SimpleNamespace(report=lambda _kind, sentence: said.append(sentence))
+    context = SimpleNamespace(screen=SimpleNamespace(areas=[clicked]), area=clicked)
+    shared.refused(operator, context, "No")
+    assert said == ["No"] * is_reported
 
 
 DRAWN = """

@@ -39,6 +39,14 @@ with bpy.context.temp_override(window=window, area=area, region=region):
 answer = manager.clipboard
 """
 
+# what F3 does; a virtual keyboard has no such key
+SEARCH = """
+area = next(a for a in window.screen.areas if a.type == "VIEW_3D")
+region = next(r for r in area.regions if r.type == "WINDOW")
+with bpy.context.temp_override(window=window, area=area, region=region):
+    bpy.ops.wm.search_menu("INVOKE_DEFAULT")
+"""
+
 
 @dataclass(frozen=True)
 class Place:
@@ -159,22 +167,23 @@ class BlenderWindow:
         window_height = self.get("window.height")
         return x, window_height - y - height, x + width - 22, window_height - y
 
-    def find(self, wanted: str) -> Place:
+    def find(self, wanted: str, *, is_scrolled: bool = True) -> Place:
         """A pixel of a control in the sidebar, found by moving the mouse over it.
 
         Args:
             wanted: How its Python begins: `bpy.ops.robir.reconstruct` for a button, or the end of
                 a property's path, `robir.preset`.
+            is_scrolled: Whether the sidebar may be scrolled until it is seen.
 
         Returns:
-            Where it lies; the sidebar is scrolled until it is seen.
+            Where it lies.
         """
         left, top, right, bottom = self.sidebar()
         columns = [left + int(share * (right - left)) for share in COLUMNS]
         near = self._found.get(wanted, Place(columns[0], top))
         ys = sorted(range(top + STEP, bottom - 2, STEP), key=lambda y: abs(y - near.y))
         seen: set[str] = set()
-        for notches in (0, -SCROLL, SCROLL // 2, SCROLL // 2):
+        for notches in (0, -SCROLL, SCROLL // 2, SCROLL // 2) if is_scrolled else (0,):
             if notches:
                 self.screen.scroll(left + 40, (top + bottom) // 2, notches=notches)
             for x in sorted(columns, key=lambda x: x != near.x):
@@ -191,6 +200,26 @@ class BlenderWindow:
         place = self.find(wanted)
         self.screen.click(place.x, place.y)
         return time.monotonic()
+
+    def press_in_menu(self, beside: str, letter: str) -> None:
+        """Choose from the menu at the right end of a control's row, by its underlined letter."""
+        left, _, right, _ = self.sidebar()
+        self.screen.click(left + int(COLUMNS[2] * (right - left)), self.find(beside).y)
+        time.sleep(0.8)
+        self.screen.key(letter)
+
+    def search(self, words: str) -> None:
+        """Do what Blender's search finds first; a search belongs to the editor under the mouse."""
+        place = self.view_centre()
+        self.screen.move(place.x, place.y)
+        time.sleep(0.4)
+        self.run(SEARCH)
+        time.sleep(2.5)  # letters that come before its field is open are lost
+        self.screen.write(words)
+        time.sleep(2.5)
+        self.picture(f"searched_{words.replace(' ', '_')}")
+        self.screen.key("Return")
+        time.sleep(1.5)
 
     def _under(self, place: Place) -> str:
         self.screen.move(place.x, place.y)

@@ -100,7 +100,7 @@ def test_what_is_shown_follows_a_click(
     window.screen.key("t")  # underlined in "the result's folder"
     window.wait_until(f"{SETTINGS}.result == {str(finished.out)!r}", 5.0)
     assert window.get(f"{OBJECT}.name") != moved
-    window.press("bpy.ops.robir.remove_result")
+    window.press_in_menu("robir.shown", "e")  # underlined in Remove Result
     window.wait_until(f"{SETTINGS}.result == {str(other)!r}", 5.0)
 
 
@@ -128,7 +128,7 @@ def test_a_dropped_ground_stays_away(window: BlenderWindow) -> None:
     window.run("bpy.ops.robir.stand_on_floor()\nbpy.ops.robir.drop_ground()", timeout=60.0)
     left = window.get(faces)
     assert left < whole
-    window.press("bpy.ops.robir.refresh_result")
+    window.press_in_menu("robir.shown", "r")  # underlined in Refresh Result
     window.wait_until(f"'what you did is kept' in {STATE}.message", 60.0)
     assert window.get(faces) == left
     assert abs(window.get(f"min((c[2] for c in {OBJECT}.bound_box))")) < 1e-3
@@ -143,7 +143,7 @@ def test_frames_of_cameras_go_with_the_real_size(window: BlenderWindow) -> None:
 
 def test_the_export_begins_with_the_faces_there_are(window: BlenderWindow) -> None:
     faces = window.get(f"len({OBJECT}.data.polygons)")
-    window.press("bpy.ops.robir.export_glb")
+    window.search("export glb")
     window.wait_until("len(bpy.context.window_manager.windows) == 2", 10.0)
     asked = "bpy.context.window_manager.windows[1].screen.areas[0].spaces.active.active_operator"
     window.wait_until(f"{asked} is not None", 5.0)
@@ -166,12 +166,12 @@ def test_the_object_in_its_photograph(window: BlenderWindow) -> None:
     catchers = (
         "[o.name for o in bpy.context.scene.objects if o.type == 'MESH' and o.is_shadow_catcher]"
     )
-    window.press("bpy.ops.robir.into_photograph")
+    window.search("put into photograph")
     window.wait_until(f"{catchers}", 30.0)
     window.picture("in_photograph")
     assert window.get("bpy.context.scene.render.film_transparent")
     assert "robir_view" in window.get("list(bpy.context.scene.camera.keys())")
-    window.press("bpy.ops.robir.into_photograph")
+    window.search("put into photograph")
     window.wait_until(f"not {catchers}", 30.0)
 
 

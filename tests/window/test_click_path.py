@@ -58,6 +58,16 @@ def test_the_panel_waits_for_a_capture(window: BlenderWindow) -> None:
     window.find("bpy.ops.robir.choose_capture")
 
 
+def test_a_refusal_is_said_once_and_takes_no_click(window: BlenderWindow) -> None:
+    window.run("bpy.context.preferences.system.use_online_access = False")
+    window.press("bpy.ops.robir.install_engine")
+    window.wait_until(f"{STATE}.error", 5.0)
+    window.picture("refused")
+    place = window.find("bpy.ops.robir.dismiss")
+    window.screen.click(place.x, place.y)
+    window.wait_until(f"not {STATE}.error", 2.0)
+
+
 def test_the_sample_is_relit_in_one_click_and_without_an_engine(window: BlenderWindow) -> None:
     pressed = window.press("bpy.ops.robir.try_sample")
     window.wait_until(f"{SETTINGS}.result", 30.0)
@@ -65,6 +75,8 @@ def test_the_sample_is_relit_in_one_click_and_without_an_engine(window: BlenderW
     show_plainly(window)
     assert "sunrise" in window.get(WORLD_FILE)
     window.picture("sample")
+    for control in ("robir.light", "bpy.ops.robir.export_game"):
+        window.find(control, is_scrolled=False)  # on a screen lower than 1080 lines
 
 
 def test_one_reconstructs_it_in_three_clicks_more(window: BlenderWindow, tmp_path: Path) -> None:
@@ -211,7 +223,7 @@ def test_the_view_transform_is_matched_when_asked_for(window: BlenderWindow, out
     curve = json.loads((out / "export" / "tone_curve.json").read_text())
     wanted = curve["blender_view_transform"] or "Standard"
     assert window.get("bpy.context.scene.view_settings.view_transform") == "AgX" != wanted
-    window.press("bpy.ops.robir.match_view_transform")
+    window.search("match view transform")
     window.wait_until(f"bpy.context.scene.view_settings.view_transform == {wanted!r}", 5.0)
 
 

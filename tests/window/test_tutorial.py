@@ -65,8 +65,9 @@ STEPS = (
     (
         "lights",
         "Press *Picture All Lights*: this object under the recovered light and each that Blender "
-        "ships, to choose by. *Film and Own Lights* takes a folder of your maps. *Put into "
-        "Photograph* lays the photograph behind and a ground that catches the shadow.",
+        "ships, to choose by. Below, *Photograph, Film, Own Lights* takes a folder of your maps, "
+        "and *Put into Photograph* lays the photograph behind and a ground that catches the "
+        "shadow.",
     ),
     (
         "placed",
@@ -87,10 +88,10 @@ END = """
   buttons above change the view, show single pixels and wipe one picture over another.
 - **What You Know** accepts a known colour, a Sun lamp or a tone curve, and so fixes the scale of
   brightness: [uncertainty.md](uncertainty.md).
-- **Where to photograph next**: *Check* tints the sides of the bounds that no photograph shows.
-  The eye in *Result* tints what no or few photographs show.
+- **Where to photograph next**: *Capture* tints the sides of the bounds that no photograph shows. A
+  button under *Details* of *Result* tints the parts that no or few photographs show.
 - **Export for Games** writes GLB and USD in levels of detail. The object stands on the floor,
-  without its ground, and a normal map holds its fine shape. **Export** also writes what stands in
+  without its ground, and a normal map holds its fine shape. A menu below it writes what stands in
   the scene as GLB, USD and textures, and marks the object as an asset. **Library** runs many
   captures: [batch.md](batch.md).
 

@@ -99,7 +99,7 @@ def test_a_refresh_keeps_what_was_done(window: BlenderWindow, finished: Finished
         "thing.modifiers.new('bent', 'SIMPLE_DEFORM')\n"
         "bpy.context.scene.robir.light = 'forest'"
     )
-    window.press("bpy.ops.robir.refresh_result")
+    window.press_in_menu("robir.shown", "r")  # underlined in Refresh Result
     window.wait_until(f"'newer result' in {STATE}.message", 30.0)
     window.picture("refreshed")
     assert window.get(f"list({OBJECT}.location)") == [0.5, 0.0, 0.0]
@@ -132,7 +132,7 @@ def test_the_real_size_is_told_by_two_clicks(window: BlenderWindow) -> None:
 def test_an_edited_mesh_is_asked_about(window: BlenderWindow) -> None:
     window.run(f"{OBJECT}.data.vertices[0].co.x += 0.25")
     moved = window.get(f"{OBJECT}.data.vertices[0].co.x")
-    window.press("bpy.ops.robir.refresh_result")
+    window.press_in_menu("robir.shown", "r")  # underlined in Refresh Result
     window.picture("asked")
     window.screen.key("Escape")
     assert window.get(f"{OBJECT}.data.vertices[0].co.x") == moved
