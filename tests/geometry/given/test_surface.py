@@ -168,7 +168,7 @@ def test_a_soup_costs_few_rays_before_it_is_refused(thorough, capture):
 def test_a_soup_of_large_faces_is_refused_before_it_is_placed(capture, tmp_path):
     soup = np.random.default_rng(0).uniform(-1, 1, size=(90_000, 3))
     begin = time.process_time()
-    with pytest.raises(CaptureError, match="no surface.*without loose faces"):
+    with pytest.raises(CaptureError, match=r"no surface.*without loose faces"):
         hand(capture, trimesh.Trimesh(soup, np.arange(90_000).reshape(-1, 3)), tmp_path)
     assert time.process_time() - begin < 5
 

@@ -155,9 +155,9 @@ def covering(vertices: Array, faces: NDArray[np.int32]) -> EmbreeTracer:
     crossed = 2 * (sides * np.roll(sides, 1, axis=1)).sum() / (4 * np.pi)
     if crossed > _MOST_CROSSED:
         raise CaptureError(
-            f"the mesh is no surface: its {len(faces)} faces lie across each other, so that a line "
-            f"through it passes {crossed:.0f} of their boxes, of at most {_MOST_CROSSED}; export the "
-            "surface of the object, without loose faces"
+            f"the mesh is no surface: a line through it passes the boxes of {crossed:.0f} of its "
+            f"{len(faces)} faces, of at most {_MOST_CROSSED}, for they lie across each other; "
+            "export the surface of the object, without loose faces"
         )
     return EmbreeTracer(vertices.astype(np.float32), faces)
 
