@@ -179,7 +179,9 @@ def test_slivers_of_a_disc_are_a_surface():
     rim = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
     turned = Rotation.from_rotvec([0.6, 0.6, 0.2]).apply(rim)
     rising = np.arange(1, 1999)
-    covering(turned, np.stack([0 * rising, rising, rising + 1], axis=1).astype(np.int32))
+    disc = np.stack([0 * rising, rising, rising + 1], axis=1).astype(np.int32)
+    covering(turned, disc)
+    covering(turned, np.repeat(disc[900:901], 50_000, axis=0))  # equal ones count once
 
 
 def without_a_part(solid: trimesh.Trimesh) -> trimesh.Trimesh:
