@@ -7,14 +7,17 @@ import importlib.util
 import os
 
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 # Before torch loads: threads that wait for each other spin, and most arrays here are too small to
 # be shared out; what the tests start inherits it.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
-settings.register_profile("robir", max_examples=25, deadline=None, derandomize=True)
+settings.register_profile(
+    "robir", max_examples=25, deadline=None, derandomize=True,
+    suppress_health_check=[HealthCheck.too_slow],  # a busy machine is
+)  # fmt: skip
 settings.load_profile("robir")
 
 

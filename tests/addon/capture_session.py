@@ -44,7 +44,7 @@ def told():
     return {name: getattr(state(), name) for name in names} | {"result": settings().result}
 
 
-def pulse(is_enough, seconds=60.0):
+def pulse(is_enough, seconds=300.0):
     """Let the timer's work be done until something has come of it."""
     end = time.monotonic() + seconds
     while not is_enough():
@@ -267,7 +267,7 @@ def tasks(python):
         "print('no JSON'); print(json.dumps(['a list'])); "
         "print(json.dumps({'text': 'G\\u00e4nse'}, ensure_ascii=False)); sys.exit(7)"
     )
-    wait = "import json, time; print(json.dumps({'message': 'on'}), flush=True); time.sleep(60)"
+    wait = "import json, time; print(json.dumps({'message': 'on'}), flush=True); time.sleep(600)"
 
     def command(program):
         return [python, "-c", program]

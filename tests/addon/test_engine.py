@@ -180,6 +180,10 @@ def test_a_download_that_breaks_off_goes_on(copy, source, tmp_path):
         index.break_off = {file.name for file in source.cuda_wheels.glob("scipy-*")}
         online = {"PIP_INDEX_URL": index.url, "PIP_RETRIES": "0", "PIP_TRUSTED_HOST": "127.0.0.1"}
         online |= {"PIP_USER": "1", "PIP_TARGET": str(tmp_path / "elsewhere")}
+        settings = tmp_path / "pip/pip.conf"
+        settings.parent.mkdir()
+        settings.write_text(f"[global]\ntarget = {tmp_path / 'elsewhere'}\n")
+        online |= {"PIP_CONFIG_FILE": str(settings), "XDG_CONFIG_HOME": str(tmp_path)}
         code, lines, said = run(words, **online)
         assert code == 4
         assert re.search("broke off|damaged", lines[-1]["error"])

@@ -160,6 +160,7 @@ def test_wrong_requests_end_in_one_sentence(built, tmp_path):
         (["render", tmp_path], 6, "cannot be read"),
         (["render", built.root, "--views", "nobody"], 2, "no view is named 'nobody'"),
         (["relight", built.root, "--environment", "mars"], 2, "ships only city"),
+        (["relight", built.root, "--environment=--help"], 2, "ships only city"),
     ):
         run = headless(*arguments)
         assert run.returncode == code

@@ -3,10 +3,12 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -32,12 +34,25 @@ class Spine:
 
     capture: Path
     out: Path
+    home: Path  # with the user's folder, that for temporary files, and the one it was started in
 
 
-def robir(*words: str, expect: int = 0) -> subprocess.CompletedProcess[str]:
-    """Run the command line as a user does."""
+def robir(
+    *words: str, expect: int = 0, home: Path | None = None
+) -> subprocess.CompletedProcess[str]:
+    """Run the command line as a user does, perhaps with folders that were empty before."""
     command = [sys.executable, "-m", "robir", *words]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    how: dict[str, Any] = {}
+    if home is not None:
+        places = {name: home / name for name in ("HOME", "TMPDIR", "cwd")}
+        for place in places.values():
+            place.mkdir()
+        how["cwd"] = places.pop("cwd")
+        # an own PYTHONPATH may be said from where the tests are started
+        search = os.pathsep.join(entry for entry in sys.path if entry)
+        how["env"] = os.environ | {name: str(place) for name, place in places.items()}
+        how["env"]["PYTHONPATH"] = search
+    done = subprocess.run(command, capture_output=True, text=True, check=False, **how)
     assert done.returncode == expect, done.stderr[-2000:]
     return done
 
@@ -63,5 +78,6 @@ def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def spine(capture: Path, tmp_path_factory: pytest.TempPathFactory) -> Spine:
     """The finished reconstruction, renders included."""
     out = tmp_path_factory.mktemp("result") / "out"
-    robir(*reconstruct_words(capture, out))
-    return Spine(capture=capture, out=out)
+    home = tmp_path_factory.mktemp("home")
+    robir(*reconstruct_words(capture, out), home=home)
+    return Spine(capture=capture, out=out, home=home)

@@ -38,6 +38,12 @@ def test_the_result_folder_is_complete(spine):
     assert list(paths.renders.glob("relit_*.png"))
 
 
+def test_nothing_is_written_outside_the_result_folder_but_settings_of_blender(spine):
+    files = [path.relative_to(spine.home) for path in spine.home.rglob("*") if path.is_file()]
+    own = ("HOME/.config/blender", "HOME/.cache/thumbnails", "HOME/Library")
+    assert not [file for file in files if not any(file.is_relative_to(place) for place in own)]
+
+
 def test_the_report_has_the_numbers_it_promises(spine):
     report = read_json(JobPaths(spine.out).report_json)
     assert set(STAGES) <= set(report["seconds"])

@@ -98,7 +98,17 @@ def test_no_path_of_this_machine_is_in_the_file_but_its_author_is(result):
     assert 'def Xform "_2_balls"' in text
 
 
-def test_unknown_formats_are_named(tmp_path):
-    (tmp_path / "about.toml").write_text('formats = ["fbx"]')
-    with pytest.raises(ConfigError, match="choose one of 'blend', 'usd'"):
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('formats = ["fbx"]', "choose one of 'blend', 'usd'"),
+        (f"author = '{'x' * 200_000}'", "no line of up to 1000 letters"),
+        ('licence = "a\\u0000b"', "no line of up to 1000 letters"),
+        (f"tags = {['a'] * 101}", "101 tags are more than 100"),
+    ],
+    ids=("format", "long", "zero", "tags"),
+)
+def test_facts_that_cannot_be_are_named(tmp_path, text, words):
+    (tmp_path / "about.toml").write_text(text)
+    with pytest.raises(ConfigError, match=words):
         read_facts(tmp_path / "about.toml")

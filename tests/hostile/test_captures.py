@@ -88,20 +88,20 @@ def test_other_formats_are_not_even_asked(synthetic, kind):
 @pytest.mark.parametrize("size", [(13377, 13377), (178_000_000, 1), (20_000, 20_000), (9000, 9000)])
 def test_pictures_too_large_are_not_decoded(synthetic, size):
     (synthetic / "train/r_3.png").write_bytes(png(*size))
-    start = time.monotonic()
+    start = time.process_time()
     message = refused(synthetic)
     assert "r_3.png" in message
     assert f"{size[0]}x{size[1]}" in message or "exceeds limit" in message
-    assert time.monotonic() - start < 5
+    assert time.process_time() - start < 5
 
 
 def test_a_photograph_of_terabytes_is_not_even_hashed(shots, tmp_path):
     writers.save_pictures(tmp_path, shots[:3], [f"{i}.jpg" for i in range(3)], alpha=False)
     with (tmp_path / "a.png").open("wb") as file:
         file.truncate(1 << 40)
-    start = time.monotonic()
+    start = time.process_time()
     assert refused(tmp_path)
-    assert time.monotonic() - start < 10
+    assert time.process_time() - start < 10
 
 
 @pytest.mark.parametrize("tag", [273, 34665])
@@ -166,9 +166,9 @@ def test_what_lies_beside_photographs_is_looked_at_with_care(shots, tmp_path, na
 def test_a_link_to_the_root_is_not_followed(synthetic):
     (synthetic / "all").symlink_to("/")
     (synthetic / "self").symlink_to(".")
-    start = time.monotonic()
+    start = time.process_time()
     capture_fingerprint(synthetic, None, synthetic / "out")
-    assert time.monotonic() - start < 2
+    assert time.process_time() - start < 2
 
 
 def test_photographs_elsewhere_are_taken_only_if_told(studio, tmp_path):
@@ -274,9 +274,9 @@ def test_an_archive_that_unpacks_to_gigabytes(odd_shots, tmp_path):
         member.write(header.getvalue())
         for _ in range(64):
             member.write(bytes(1 << 20))
-    start = time.monotonic()
+    start = time.process_time()
     assert "impossible size" in refused(tmp_path)
-    assert time.monotonic() - start < 2
+    assert time.process_time() - start < 2
 
 
 def test_entities_of_xml_are_refused(odd_shots, tmp_path):
@@ -288,9 +288,9 @@ def test_entities_of_xml_are_refused(odd_shots, tmp_path):
 
 def test_json_that_would_not_fit_into_memory(studio):
     (studio / "transforms.json").write_text('{"frames": [' + "{}," * 4_000_000 + "{}]}")
-    start = time.monotonic()
+    start = time.process_time()
     assert "too many values" in refused(studio)
-    assert time.monotonic() - start < 5
+    assert time.process_time() - start < 5
 
 
 @pytest.mark.parametrize("kind", ["many", "one"])

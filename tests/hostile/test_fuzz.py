@@ -61,7 +61,7 @@ _JSON = st.recursive(
 @pytest.mark.parametrize(
     "name", ["nerfstudio", "polycam", "meshroom", "status", "run", "mesh_gltf"]
 )
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(data=st.data())
 def test_any_json_value_in_any_place(targets, name, data):
     document = json.loads(targets.seeds[name][0])

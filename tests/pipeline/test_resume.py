@@ -56,7 +56,9 @@ def test_what_a_killed_process_had_half_written_goes(tmp_path):
     paths, before = JobPaths(out), {path for path in out.rglob("*") if path.is_file()}
     paths.export.mkdir(exist_ok=True)
     # as `replacing` and the headless Blender name them; the last while Blender still writes
-    for file in (paths.status, paths.run, paths.usd, paths.library_asset, paths.library_facts):
+    shown = (paths.preview, paths.growing, paths.mesh_fit)
+    made = (paths.usd, paths.library_asset, paths.library_facts)
+    for file in (paths.status, paths.run, *shown, *made):
         file.with_name(f".{file.stem}-1{file.suffix}").write_text("half")
     paths.export.joinpath(".asset-1.blend@").write_text("half")
     reconstruct(request(capture, out), Silent(), fake_stages())

@@ -118,7 +118,7 @@ class BlenderWindow:
         assert self._process is not None
         return self._process.pid
 
-    def run(self, code: str, timeout: float = 30.0) -> Any:
+    def run(self, code: str, timeout: float = 90.0) -> Any:
         """Run code inside Blender between two events; what it assigns to `answer` comes back."""
         request, answer = self._control / "request.py", self._control / "answer.json"
         answer.unlink(missing_ok=True)
@@ -141,7 +141,7 @@ class BlenderWindow:
         """The value of a Python expression inside Blender."""
         return self.run(f"answer = {expression}")
 
-    def wait_until(self, expression: str, timeout: float) -> float:
+    def wait_until(self, expression: str, timeout: float = 120.0) -> float:
         """Wait until an expression is true inside Blender; returns the seconds it took."""
         start = time.monotonic()
         while not self.get(f"bool({expression})"):
@@ -270,7 +270,7 @@ class BlenderWindow:
             "bpy.app.timers.register(leave, first_interval=0.2)"
         )
         try:
-            self._process.wait(20)
+            self._process.wait(90)
         finally:
             self._process.kill()
             self._process = None

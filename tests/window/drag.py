@@ -11,7 +11,7 @@ from Xlib import X, display
 from Xlib.protocol import event
 
 VERSION = 5
-PATIENCE = 10.0
+PATIENCE = 90.0
 
 
 class Drag:

@@ -72,9 +72,9 @@ def test_a_dropped_photograph_stands_for_its_folder(window: BlenderWindow, tmp_p
     time.sleep(1.5)
     window.picture("dropped_photograph")
     window.screen.key("t")  # of Blender's own choice between an empty and Take Capture
-    window.wait_until(f"{SETTINGS}.capture", 10.0)
+    window.wait_until(f"{SETTINGS}.capture")
     assert Path(window.get(f"{SETTINGS}.capture")) == tmp_path
-    window.wait_until(f"not {STATE}.task", 60.0)
+    window.wait_until(f"not {STATE}.task")
     window.run("bpy.ops.robir.clear_capture()")
 
 
@@ -92,16 +92,16 @@ def test_what_is_shown_follows_a_click(
     time.sleep(1.0)
     assert Path(window.get(f"{SETTINGS}.result")) == finished.out
     window.screen.click(*seen(window, f"bpy.data.objects[{moved!r}]")[0])
-    window.wait_until(f"{SETTINGS}.result == {str(other)!r}", 5.0)
+    window.wait_until(f"{SETTINGS}.result == {str(other)!r}")
     place = window.find("robir.shown")
     window.screen.click(place.x, place.y)
     time.sleep(0.8)
     window.picture("results")
     window.screen.key("t")  # underlined in "the result's folder"
-    window.wait_until(f"{SETTINGS}.result == {str(finished.out)!r}", 5.0)
+    window.wait_until(f"{SETTINGS}.result == {str(finished.out)!r}")
     assert window.get(f"{OBJECT}.name") != moved
     window.press_in_menu("robir.shown", "e")  # underlined in Remove Result
-    window.wait_until(f"{SETTINGS}.result == {str(other)!r}", 5.0)
+    window.wait_until(f"{SETTINGS}.result == {str(other)!r}")
 
 
 def test_a_spot_is_clicked(window: BlenderWindow) -> None:
@@ -129,7 +129,7 @@ def test_a_dropped_ground_stays_away(window: BlenderWindow) -> None:
     left = window.get(faces)
     assert left < whole
     window.press_in_menu("robir.shown", "r")  # underlined in Refresh Result
-    window.wait_until(f"'what you did is kept' in {STATE}.message", 60.0)
+    window.wait_until(f"'what you did is kept' in {STATE}.message")
     assert window.get(faces) == left
     assert abs(window.get(f"min((c[2] for c in {OBJECT}.bound_box))")) < 1e-3
 
@@ -144,9 +144,9 @@ def test_frames_of_cameras_go_with_the_real_size(window: BlenderWindow) -> None:
 def test_the_export_begins_with_the_faces_there_are(window: BlenderWindow) -> None:
     faces = window.get(f"len({OBJECT}.data.polygons)")
     window.search("export glb")
-    window.wait_until("len(bpy.context.window_manager.windows) == 2", 10.0)
+    window.wait_until("len(bpy.context.window_manager.windows) == 2")
     asked = "bpy.context.window_manager.windows[1].screen.areas[0].spaces.active.active_operator"
-    window.wait_until(f"{asked} is not None", 5.0)
+    window.wait_until(f"{asked} is not None")
     assert window.get(f"{asked}.most_faces") == faces
     window.leave_other_windows()
 
@@ -158,7 +158,7 @@ def test_a_light_is_chosen_from_the_list(window: BlenderWindow) -> None:
     time.sleep(0.8)
     window.picture("lights")
     window.screen.key("f")
-    window.wait_until(f"'forest' in {LIGHT}", 5.0)
+    window.wait_until(f"'forest' in {LIGHT}")
     assert window.get(f"{SETTINGS}.light") == "forest"
 
 
@@ -167,12 +167,12 @@ def test_the_object_in_its_photograph(window: BlenderWindow) -> None:
         "[o.name for o in bpy.context.scene.objects if o.type == 'MESH' and o.is_shadow_catcher]"
     )
     window.search("put into photograph")
-    window.wait_until(f"{catchers}", 30.0)
+    window.wait_until(f"{catchers}")
     window.picture("in_photograph")
     assert window.get("bpy.context.scene.render.film_transparent")
     assert "robir_view" in window.get("list(bpy.context.scene.camera.keys())")
     window.search("put into photograph")
-    window.wait_until(f"not {catchers}", 30.0)
+    window.wait_until(f"not {catchers}")
 
 
 def test_the_comparison_goes_on_by_keys_and_is_wiped(window: BlenderWindow) -> None:
@@ -181,18 +181,18 @@ def test_the_comparison_goes_on_by_keys_and_is_wiped(window: BlenderWindow) -> N
         "area.ui_type = 'IMAGE_EDITOR'"
     )
     window.press("bpy.ops.robir.compare(")
-    window.wait_until("'RobIR comparison' in bpy.data.images", 20.0)
+    window.wait_until("'RobIR comparison' in bpy.data.images")
     window.screen.move(*window.run(MIDDLE)[:2])
     time.sleep(0.5)
     first, frame = window.get(VIEW), window.get("bpy.context.scene.frame_current")
     for key in ("Right", "Left"):
         window.screen.key(key)
-        window.wait_until(f"({VIEW} != {first!r}) == {key == 'Right'}", 10.0)
+        window.wait_until(f"({VIEW} != {first!r}) == {key == 'Right'}")
     assert window.get("bpy.context.scene.frame_current") == frame
     left, middle, _ = window.run(HEADER)
     wide = window.get(PIXELS)
     window.screen.click(left + 40, middle)  # the second of the header's buttons
-    window.wait_until(f"{VIEW} != {first!r}", 10.0)
+    window.wait_until(f"{VIEW} != {first!r}")
     window.picture("compared")
     window.run(f"{STATE}.wipe_with = '2'")
     assert window.get(PIXELS)[0] < 0.3 * wide[0]

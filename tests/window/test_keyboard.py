@@ -17,7 +17,7 @@ SETTINGS = "bpy.context.scene.robir"
 
 def test_a_capture_is_chosen_and_looked_at(window: BlenderWindow) -> None:
     window.search("try the sample")
-    window.wait_until(f"{SETTINGS}.result", 30.0)
+    window.wait_until(f"{SETTINGS}.result")
     window.run(
         "for area in window.screen.areas:\n"
         "    if area.type == 'VIEW_3D': area.spaces.active.shading.type = 'SOLID'"
@@ -35,13 +35,13 @@ def test_preset_and_device_are_chosen(window: BlenderWindow) -> None:
 
 def test_a_reconstruction_is_started_and_stopped(window: BlenderWindow) -> None:
     window.search("robir reconstruct")
-    window.wait_until(f"{STATE}.task == 'reconstruct'", 20.0)
+    window.wait_until(f"{STATE}.task == 'reconstruct'")
     window.screen.key("Escape")
     time.sleep(1.0)
     window.screen.key("Return")
-    window.wait_until(f"not {STATE}.task", 30.0)
+    window.wait_until(f"not {STATE}.task")
 
 
 def test_the_capture_is_let_go(window: BlenderWindow) -> None:
     window.search("clear capture")
-    window.wait_until(f"not {SETTINGS}.capture", 5.0)
+    window.wait_until(f"not {SETTINGS}.capture")

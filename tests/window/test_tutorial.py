@@ -152,7 +152,7 @@ def text() -> str:
 def test_the_sample_is_reconstructed_relit_and_placed(window: BlenderWindow) -> None:
     clicks = window.screen.clicks
     window.press("bpy.ops.robir.try_sample")
-    window.wait_until(f"{SETTINGS}.result", 30.0)
+    window.wait_until(f"{SETTINGS}.result")
     window.settle()
     keep(window, "sample")
     shade(window, "SOLID")  # which a processor draws fast enough to click on
@@ -160,7 +160,7 @@ def test_the_sample_is_reconstructed_relit_and_placed(window: BlenderWindow) -> 
     window.screen.click(place.x, place.y)
     time.sleep(1.0)
     window.screen.key("e")  # underlined in Sunset
-    window.wait_until(f"'sunset' in {WORLD_FILE}", 10.0)
+    window.wait_until(f"'sunset' in {WORLD_FILE}")
     # the zip's dialog and the tab are two clicks before these
     assert window.screen.clicks - clicks <= 2
     window.press("bpy.ops.robir.reconstruct_sample")
@@ -173,7 +173,7 @@ def test_the_sample_is_reconstructed_relit_and_placed(window: BlenderWindow) -> 
     keep(window, "arrived")
     shade(window, "SOLID")
     window.press("bpy.ops.robir.picture_lights")
-    window.wait_until(f"{STATE}.task == 'lights'", 20.0)
+    window.wait_until(f"{STATE}.task == 'lights'")
     window.wait_until(f"not {STATE}.task", 600.0)
     shade(window, "MATERIAL")
     keep(window, "lights")

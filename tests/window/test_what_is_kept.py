@@ -85,7 +85,7 @@ def test_a_run_is_found_again_though_nothing_was_saved(window: BlenderWindow, ow
     window.wait_until(f"{STATE}.task == 'reconstruct'", 120.0)
     window.picture("found_again")
     window.press("bpy.ops.robir.cancel_reconstruct")
-    window.wait_until(f"not {STATE}.task", 30.0)
+    window.wait_until(f"not {STATE}.task")
 
 
 def test_a_refresh_keeps_what_was_done(window: BlenderWindow, finished: Finished) -> None:
@@ -100,7 +100,7 @@ def test_a_refresh_keeps_what_was_done(window: BlenderWindow, finished: Finished
         "bpy.context.scene.robir.light = 'forest'"
     )
     window.press_in_menu("robir.shown", "r")  # underlined in Refresh Result
-    window.wait_until(f"'newer result' in {STATE}.message", 30.0)
+    window.wait_until(f"'newer result' in {STATE}.message")
     window.picture("refreshed")
     assert window.get(f"list({OBJECT}.location)") == [0.5, 0.0, 0.0]
     assert window.get(f"[m.name for m in {OBJECT}.modifiers]") == ["bent"]
@@ -121,7 +121,7 @@ def test_the_real_size_is_told_by_two_clicks(window: BlenderWindow) -> None:
     window.picture("real_size")
     window.screen.key("Return")
     last = "bpy.context.window_manager.operators[-1]"
-    window.wait_until(f"{last}.bl_idname == 'ROBIR_OT_set_real_size'", 10.0)
+    window.wait_until(f"{last}.bl_idname == 'ROBIR_OT_set_real_size'")
     clicked = [window.get(f"list({last}.properties.{name})") for name in ("first", "second")]
     across = sum((a - b) ** 2 for a, b in zip(*points, strict=True)) ** 0.5
     for point, wanted in zip(clicked, points, strict=True):

@@ -123,8 +123,8 @@ def clear_for_rerun(paths: JobPaths, stage: str, state: StageState) -> None:
 
 def remove_leftovers(paths: JobPaths) -> None:
     """Remove half-written files of a killed process where no stage clears its folder again."""
-    of_run, of_asset = (paths.run, paths.config, paths.status), (paths.library_asset, paths.usd)
-    for file in (*of_run, *of_asset, paths.library_facts):
+    of_run = (paths.run, paths.config, paths.status, paths.preview, paths.growing, paths.mesh_fit)
+    for file in (*of_run, paths.library_asset, paths.usd, paths.library_facts):
         # what Blender has not written to the end bears a further @
         for leftover in file.parent.glob(f".{file.stem}-*{file.suffix}*"):
             leftover.unlink(missing_ok=True)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from robir.capture.capture import Bounds, Finding
 from robir.errors import CaptureError
 from robir.geometry.config import GeometryConfig
-from robir.geometry.given.placing import better_place
+from robir.geometry.given.placing import better_place, covering
 from robir.geometry.given.surface import Handed, hand_in
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import LIGHT, mesh_for_light
@@ -162,6 +163,25 @@ def test_a_soup_costs_few_rays_before_it_is_refused(thorough, capture):
     _, then = better_place(corners, soup, capture.normalised().train, AS_IT_IS)
     assert then.share < 0.75
     assert sum(rays) < 2e7
+
+
+def test_a_soup_of_large_faces_is_refused_before_it_is_placed(capture, tmp_path):
+    soup = np.random.default_rng(0).uniform(-1, 1, size=(90_000, 3))
+    begin = time.process_time()
+    with pytest.raises(CaptureError, match=r"no surface.*without loose faces"):
+        hand(capture, trimesh.Trimesh(soup, np.arange(90_000).reshape(-1, 3)), tmp_path)
+    assert time.process_time() - begin < 5
+
+
+def test_slivers_of_a_disc_are_a_surface():
+    """As programs for parts of machines write them: all meet in one corner."""
+    angle = np.linspace(0, 2 * np.pi, 2000, endpoint=False)
+    rim = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    turned = Rotation.from_rotvec([0.6, 0.6, 0.2]).apply(rim)
+    rising = np.arange(1, 1999)
+    disc = np.stack([0 * rising, rising, rising + 1], axis=1).astype(np.int32)
+    covering(turned, disc)
+    covering(turned, np.repeat(disc[900:901], 50_000, axis=0))  # equal ones count once
 
 
 def without_a_part(solid: trimesh.Trimesh) -> trimesh.Trimesh:

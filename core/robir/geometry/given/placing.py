@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation
 from robir.capture.bounds import MARGIN, enclosing_sphere
 from robir.capture.capture import View
 from robir.capture.images.loading import size_within
+from robir.errors import CaptureError
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.jobs.paths import replacing
 from robir.maths.similarity import AS_IT_IS, Similarity
@@ -52,6 +53,9 @@ BETTER = 0.05  # by how much more of that another place has to have to be believ
 _UNRELATED = 0.5  # below which a mesh shows something else
 # share of the masks that a mesh within them may lack, or of it that may lie beyond them all
 _MOST_APART = 0.8
+# faces whose boxes a line through the bounding sphere meets, mean: 3 to 5 of a scan, hundreds of a
+# disc of a thousand slivers. Each costs every ray, and what has more is no surface
+_MOST_CROSSED = 2000
 _PHOTOGRAPHS = 4  # in a row of the picture of a fit
 _SIDE = 240  # longer side of each (pixels)
 
@@ -135,13 +139,26 @@ class Outlines:
 
 
 def covering(vertices: Array, faces: NDArray[np.int32]) -> EmbreeTracer:
-    """Tracer of what a mesh covers: a ray that meets one of many equal faces meets them all."""
+    """Tracer of what a mesh covers: a ray that meets one of many equal faces meets them all.
+
+    `CaptureError` if each ray would have to look at thousands of others. The mesh's bounding
+    sphere is the unit sphere.
+    """
     # faces of one place have one middle; where none have, nothing more is looked at
     middles = vertices[faces].sum(axis=1) @ np.array([1.0, np.pi, np.e])
     if len(np.unique(middles)) < len(faces):
         _, places = np.unique(vertices, axis=0, return_inverse=True)
         corners = np.sort(places.reshape(-1)[faces], axis=1)
         faces = faces[np.unique(corners, axis=0, return_index=True)[1]]
+    # a line through a sphere meets a convex body in it by the ratio of their surfaces
+    sides = np.ptp(vertices[faces], axis=1)
+    crossed = 2 * (sides * np.roll(sides, 1, axis=1)).sum() / (4 * np.pi)
+    if crossed > _MOST_CROSSED:
+        raise CaptureError(
+            f"the mesh is no surface: a line through it passes the boxes of {crossed:.0f} of its "
+            f"{len(faces)} faces, of at most {_MOST_CROSSED}, for they lie across each other; "
+            "export the surface of the object, without loose faces"
+        )
     return EmbreeTracer(vertices.astype(np.float32), faces)
 
 
