@@ -92,7 +92,7 @@ def bound(most_bytes: int) -> None:
         with suppress(OSError, AttributeError):  # the system kills it once its parent is gone
             ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     # OpenBLAS waits for memory for ever, so it takes its buffer before the limit holds
-    np.ones((64, 64)) @ np.ones((64, 64))
+    np.matmul(np.ones((64, 64)), np.ones((64, 64)))
     with suppress(ImportError, ValueError, OSError):
         import resource
 

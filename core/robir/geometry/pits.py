@@ -98,7 +98,7 @@ def _vertex_areas(vertices: Array, faces: NDArray[np.int32]) -> Array:
     """(Nv,) a third of the faces about each vertex."""
     first, second, third = (vertices[faces[:, corner]] for corner in range(3))
     third_of = np.linalg.norm(np.cross(second - first, third - first), axis=1) / 6
-    return np.bincount(faces.ravel(), np.repeat(third_of, 3), len(vertices))
+    return np.bincount(faces.ravel(), np.repeat(third_of, 3), len(vertices)).astype(np.float64)
 
 
 def _flown(vertices: Array, faces: NDArray[np.int32], area: Array) -> Array:
