@@ -53,7 +53,7 @@ def faults_of(address: str, profile: Path) -> list[str]:
     """Open an address; returns what its console complains of."""
     command = [str(CHROMIUM), *FLAGS, "--window-size=500,900", f"--user-data-dir={profile}"]
     done = subprocess.run(
-        [*command, "--dump-dom", address], capture_output=True, text=True, timeout=100, check=True
+        [*command, "--dump-dom", address], capture_output=True, text=True, timeout=600, check=True
     )
     lines = re.findall(r"CONSOLE.*", done.stderr)
     return [line for line in lines if not any(notice in line for notice in NOTICES)]
