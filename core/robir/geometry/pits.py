@@ -30,10 +30,11 @@ _SCALE = 0.08  # width of the mean curvature flow that makes the smooth surface
 _BELOW = 0.005  # depth below the smooth surface from which a vertex belongs to a pit
 _LEAST_DEPTH = 0.01  # of a pit that a person sees
 _MOST_SIZE = 0.15  # radius of a disc of a pit's area; what is wider is shape
+_MOST_LENGTH = 1.4  # of that radius: how far a crater reaches from its middle; a cleft is longer
 _RIM = 0.6  # of a pit's reach: the ring around it that is looked at
 # of a pit's depth: how far the ring lies off the smooth surface at most, in the mean; relief and
 # creases lie farther off
-_MOST_RELIEF = 0.5
+_MOST_RELIEF = 0.35
 
 
 class Pit(NamedTuple):
@@ -57,7 +58,7 @@ def without_pits(mesh: Mesh, predictions: Predictions) -> Mesh:
 
 
 def pits(mesh: Mesh) -> list[Pit]:
-    """Hollows of a mesh, unit frame, in surroundings that are smooth."""
+    """Round hollows of a mesh, unit frame, in surroundings that are smooth."""
     vertices, count = mesh.vertices.astype(np.float64), len(mesh.vertices)
     joined, area = _joined(mesh), _vertex_areas(vertices, mesh.faces)
     smooth = _flown(vertices, mesh.faces, area)
@@ -73,7 +74,7 @@ def pits(mesh: Mesh) -> list[Pit]:
         depth, size = -height[own].min(), np.sqrt(area[own].sum() / np.pi)
         away = np.linalg.norm(vertices - vertices[own].mean(0), axis=1)
         reach = away[own].max()
-        if depth < _LEAST_DEPTH or size > _MOST_SIZE:
+        if depth < _LEAST_DEPTH or size > _MOST_SIZE or reach > _MOST_LENGTH * size:
             continue
         moved = _spread_to(joined, own, away < (1 + _RIM) * reach)
         ring = np.setdiff1d(moved, own)
