@@ -14,6 +14,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 from PIL import Image
 from window.blender_window import PATIENCE, BlenderWindow
@@ -130,6 +131,21 @@ def shade(window: BlenderWindow, kind: str) -> None:
     window.settle()
 
 
+def wait_for_colour(window: BlenderWindow) -> None:
+    """Wait until the viewport shows the object: its shaders may take a busy machine minutes."""
+    before, still = np.zeros(0), 0
+    for _ in range(100):
+        with Image.open(window.picture("waiting")) as picture:
+            shown = np.asarray(picture.convert("RGB")).astype(int)
+        is_coloured = (np.ptp(shown, axis=2) > 40).mean() > 0.1
+        still = still + 1 if is_coloured and np.array_equal(shown, before) else 0
+        if still == 10:  # one shader may take half a minute
+            return
+        before = shown
+        time.sleep(6.0)
+    pytest.fail("the object is not drawn after ten minutes")
+
+
 def keep(window: BlenderWindow, name: str) -> None:
     """Take one of the tutorial's pictures."""
     TUTORIAL.mkdir(parents=True, exist_ok=True)
@@ -154,6 +170,7 @@ def test_the_sample_is_reconstructed_relit_and_placed(window: BlenderWindow) -> 
     window.press("bpy.ops.robir.try_sample")
     window.wait_until(f"{SETTINGS}.result")
     window.settle()
+    wait_for_colour(window)
     keep(window, "sample")
     shade(window, "SOLID")  # which a processor draws fast enough to click on
     place = window.find("robir.light")
