@@ -22,8 +22,8 @@ from typing import Any
 
 MAX_SECONDS = 15.0
 MAX_BYTES = 2_000_000_000
-# seconds of the clock after which a call counts as hung, whatever else the machine does
-_PATIENCE = 60.0
+# seconds of the clock after which a call counts as hung; a starved one had done 2 s in 60
+_PATIENCE = 600.0
 
 _PROGRAMS = ("subprocess.Popen", "os.exec", "os.posix_spawn", "os.system", "os.fork")
 _CHANGES = (
@@ -75,7 +75,6 @@ def tried(
         said = log.read(1 << 20).decode("utf-8", errors="replace")
     code = os.waitstatus_to_exitcode(status)
     seconds, peak = usage.ru_utime + usage.ru_stime, 1024 * usage.ru_maxrss
-    faults = [line for line in said.splitlines() if line.startswith(("STARTED", "WROTE"))]
     faults = [
         line
         for line in said.splitlines()
