@@ -209,7 +209,7 @@ def test_texels_of_a_lit_floor_have_their_paint():
     np.testing.assert_array_equal(values.disagreement[unseen], 1)
     assert values.disagreement[inner & ~unseen].max() < 0.1
     seen_error = values.uncertainty[inner & ~unseen]
-    assert seen_error.max() < 0.26
+    assert seen_error.max() < 0.42
     assert np.all(values.uncertainty[unseen] > np.median(seen_error))
     np.testing.assert_allclose(values.roughness, 0.5, rtol=1e-6)
     # Views of a glossy surface agree as well as those of a dull one.

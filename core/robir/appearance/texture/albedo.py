@@ -56,10 +56,10 @@ Floats = NDArray[np.float32]
 
 LARGEST = 1.0  # from here on the albedo is unknown; code 255 of uncertainty.png
 
-_FLOOR = 0.14  # what every texel has: light that is wrong makes whole sides of a thing wrong alike
-_SPREAD = 4.3  # factor of the standard error of the views about a texel's brightness
-_CHANGED = 2.4  # factor of how far albedo lay off its surroundings
-_FEW = 0.19  # error by one view; falls with the square root of their number
+_FLOOR = 0.22  # what every texel has: light that is wrong makes whole sides of a thing wrong alike
+_SPREAD = 6.9  # factor of the standard error of the views about a texel's brightness
+_CHANGED = 3.8  # factor of how far albedo lay off its surroundings
+_FEW = 0.3  # error by one view; falls with the square root of their number
 # of a texel that no view shows, per unit frame to the nearest seen one. Assumed, not calibrated:
 # test views hardly show what no training view does.
 _DISTANCE = 14.0
