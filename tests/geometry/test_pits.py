@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from robir.geometry.mesh.isosurface import plain_mesh
+from robir.geometry.mesh.isosurface import compacted, plain_mesh
 from robir.geometry.pits import pits, without_pits
 from robir.geometry.prediction import Predictions
 from robir.geometry.rays import reduce_view
@@ -107,3 +107,18 @@ def slot(long, wide):
 )
 def test_what_is_wide_or_long_or_shallow_is_shape(shape, depth):
     assert pits(dented(shape, depth)) == []
+
+
+def test_a_loose_piece_is_left_as_it_is():
+    """A patch that is hardly more than its crater."""
+    across, down = np.meshgrid(np.linspace(-0.1, 0.1, 25), np.linspace(-0.1, 0.1, 25))
+    apart = np.hypot(across, down)
+    places = np.stack([across, down, -0.08 * np.exp(-((apart / 0.06) ** 4))], axis=-1)
+    number = np.arange(25 * 25).reshape(25, 25)
+    first, second = number[:-1, :-1].ravel(), number[1:, 1:].ravel()
+    faces = [[first, number[:-1, 1:].ravel(), second], [first, second, number[1:, :-1].ravel()]]
+    mesh = plain_mesh(places.reshape(-1, 3), np.concatenate(faces, axis=1).T)
+    kept = apart.ravel() < 0.095  # a round one
+    mesh = plain_mesh(mesh.vertices, mesh.faces[kept[mesh.faces].all(axis=1)])
+    mesh = compacted(mesh.vertices, mesh.faces)
+    assert pits(mesh) == []

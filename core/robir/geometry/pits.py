@@ -81,6 +81,8 @@ def pits(mesh: Mesh) -> list[Pit]:
         if not len(ring) or np.abs(height[ring]).mean() > _MOST_RELIEF * depth:
             continue
         rest = np.setdiff1d(np.arange(count), moved)
+        if not joined[moved][:, rest].nnz:  # a loose piece, which nothing holds
+            continue
         pull = -(plate[moved][:, rest] @ vertices[rest])
         places = spsolve(plate[moved][:, moved].tocsc(), pull)
         found.append(Pit(own=own, moved=moved, places=places))
