@@ -384,8 +384,8 @@ def _parser() -> argparse.ArgumentParser:
         command.add_argument(
             "--views", default="held_out", help="held_out, train, all, or names with commas"
         )
-    for command, samples, side in ((render, 16, 400), (light, 16, 400), (pictures, 16, 192)):
-        command.add_argument("--samples", type=int, default=samples, help="Cycles samples a pixel")
+    for command, side in ((render, 400), (light, 400), (pictures, 192)):
+        command.add_argument("--samples", type=int, default=16, help="Cycles samples a pixel")
         command.add_argument("--max-side", type=int, default=side, help="longer side, pixels")
     return parser
 

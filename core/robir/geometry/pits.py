@@ -18,7 +18,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import cg, spsolve
 
 from robir.geometry.mesh.isosurface import neighbour_mean, plain_mesh
-from robir.geometry.mesh.triangles import Mesh
+from robir.geometry.mesh.triangles import Mesh, face_geometry
 from robir.geometry.prediction import Predictions
 
 Array = NDArray[np.float64]
@@ -60,13 +60,15 @@ def without_pits(mesh: Mesh, predictions: Predictions) -> Mesh:
 def pits(mesh: Mesh) -> list[Pit]:
     """Round hollows of a mesh, unit frame, in surroundings that are smooth."""
     vertices, count = mesh.vertices.astype(np.float64), len(mesh.vertices)
-    joined, area = _joined(mesh), _vertex_areas(vertices, mesh.faces)
-    smooth = _flown(vertices, mesh.faces, area)
+    mean = neighbour_mean(mesh.faces, count)
+    third = np.repeat(face_geometry(vertices, mesh.faces)[1] / 3, 3)
+    area = np.bincount(mesh.faces.ravel(), third).astype(np.float64)
+    smooth = _flown(vertices, mean, area)
     up = plain_mesh(smooth, mesh.faces).normals.astype(np.float64)
     height = np.einsum("nd,nd->n", vertices - smooth, up)
     low = np.flatnonzero(height < -_BELOW)
-    _, label = connected_components(joined[low][:, low], directed=False)
-    bend = sparse.csr_matrix(sparse.identity(count) - neighbour_mean(mesh.faces, count))
+    _, label = connected_components(mean[low][:, low], directed=False)
+    bend = sparse.csr_matrix(sparse.identity(count) - mean)
     plate = sparse.csr_matrix(bend.T @ bend)
     found = []
     for number in range(label.max(initial=-1) + 1):
@@ -76,12 +78,12 @@ def pits(mesh: Mesh) -> list[Pit]:
         reach = away[own].max()
         if depth < _LEAST_DEPTH or size > _MOST_SIZE or reach > _MOST_LENGTH * size:
             continue
-        moved = _spread_to(joined, own, away < (1 + _RIM) * reach)
+        moved = _spread_to(mean, own, away < (1 + _RIM) * reach)
         ring = np.setdiff1d(moved, own)
         if not len(ring) or np.abs(height[ring]).mean() > _MOST_RELIEF * depth:
             continue
         rest = np.setdiff1d(np.arange(count), moved)
-        if not joined[moved][:, rest].nnz:  # a loose piece, which nothing holds
+        if not mean[moved][:, rest].nnz:  # a loose piece, which nothing holds
             continue
         pull = -(plate[moved][:, rest] @ vertices[rest])
         places = spsolve(plate[moved][:, moved].tocsc(), pull)
@@ -89,40 +91,26 @@ def pits(mesh: Mesh) -> list[Pit]:
     return found
 
 
-def _joined(mesh: Mesh) -> sparse.csr_matrix:
-    """(Nv, Nv) 1 for vertices that share an edge."""
-    rows = mesh.faces[:, [0, 1, 2]].ravel(), mesh.faces[:, [1, 2, 0]].ravel()
-    count = len(mesh.vertices)
-    one_way = sparse.csr_matrix((np.ones(len(rows[0])), rows), (count, count))
-    return sparse.csr_matrix(((one_way + one_way.T) > 0).astype(np.float64))
+def _flown(vertices: Array, mean: sparse.csr_matrix, area: Array) -> Array:
+    """Vertices (Nv, 3) after one implicit step of mean curvature flow (Desbrun et al. 1999).
 
-
-def _vertex_areas(vertices: Array, faces: NDArray[np.int32]) -> Array:
-    """(Nv,) a third of the faces about each vertex."""
-    first, second, third = (vertices[faces[:, corner]] for corner in range(3))
-    third_of = np.linalg.norm(np.cross(second - first, third - first), axis=1) / 6
-    return np.bincount(faces.ravel(), np.repeat(third_of, 3), len(vertices)).astype(np.float64)
-
-
-def _flown(vertices: Array, faces: NDArray[np.int32], area: Array) -> Array:
-    """Vertices (Nv, 3) after one implicit step of mean curvature flow (Desbrun et al. 1999)."""
-    ends = np.unique(np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0)
-    length = np.linalg.norm(vertices[ends[:, 0]] - vertices[ends[:, 1]], axis=1)
-    count = len(vertices)
-    weight = sparse.csr_matrix((1 / np.maximum(length, 1e-6), ends.T), (count, count))
-    weight = weight + weight.T
+    Of their `neighbour_mean`, whose entries are the edges, and the area (Nv,) about each.
+    """
+    ends = mean.nonzero()
+    length = np.linalg.norm(vertices[ends[0]] - vertices[ends[1]], axis=1)
+    weight = sparse.csr_matrix((1 / np.maximum(length, 1e-6), ends), mean.shape)
     laplacian = sparse.diags(np.asarray(weight.sum(1)).ravel()) - weight
     step = sparse.diags(area) + _SCALE**2 / 4 * length.mean() * laplacian
     columns = [cg(step, area * own, x0=own, rtol=1e-5, maxiter=500)[0] for own in vertices.T]
     return np.stack(columns, axis=1)
 
 
-def _spread_to(joined: sparse.csr_matrix, own: Rows, near: NDArray[np.bool_]) -> Rows:
+def _spread_to(mean: sparse.csr_matrix, own: Rows, near: NDArray[np.bool_]) -> Rows:
     """Vertices that hang together with some, by edges between vertices that are near."""
     inside = np.zeros(len(near), bool)
     inside[own] = True
     while True:
-        wider = inside | ((joined @ inside > 0) & near)
+        wider = inside | ((mean @ inside > 0) & near)
         if wider.sum() == inside.sum():
             return np.flatnonzero(inside)
         inside = wider

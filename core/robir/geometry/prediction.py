@@ -103,10 +103,11 @@ class Predictions:
             points = mesh.vertices[rows].astype(np.float64)
             normals = mesh.normals[rows].astype(np.float64)
             parts = side_by_side(
-                lambda other, at=(tracer, points, normals): self._facing(other, *at),
+                lambda other, at=(points, normals), tracer=tracer: self._shown(tracer, other, *at),
                 range(len(self._cameras)),
             )
-            shown.append(tuple(np.stack(column, axis=1) for column in zip(*parts, strict=True)))
+            colours, seen, cells = (np.stack(x, axis=1) for x in zip(*parts, strict=True))
+            shown.append((colours, (seen > 0) & (cells < _SIDE * _SIDE)))  # not along the surface
         (first, on_first), (second, on_second) = shown
         both = on_first & on_second
         known = both.sum(1) >= _LEAST_VIEWS_OF_SPREAD
@@ -116,15 +117,6 @@ class Predictions:
             np.where(both[..., None], colours, np.nan)[known] for colours in (first, second)
         )
         return _spread(before), _spread(after)
-
-    def _facing(
-        self, other: int, tracer: EmbreeTracer, points: Array, normals: Array
-    ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-        """Colours (P, 3) of points in a photograph, and whether (P,) it shows them well."""
-        colours, seen, _ = self._shown(tracer, other, points, normals)
-        towards = self._cameras[other].position - points
-        towards /= np.linalg.norm(towards, axis=1, keepdims=True)
-        return colours, (seen > 0) & ((towards * normals).sum(1) > _GRAZING)
 
     def _both(self, mesh: Mesh) -> tuple[list[NDArray[np.float32]], list[NDArray[np.float32]]]:
         """Errors without and with what the surface mirrors."""
