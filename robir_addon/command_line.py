@@ -43,8 +43,8 @@ def reconstruct(arguments: list[str]) -> int:
         prog="blender -b --command robir",
         usage="%(prog)s CAPTURE -o OUT [--engine PYTHON] [OPTION ...]",
         description="Make a relightable asset of a capture.",
-        epilog="Every OPTION is one of `robir reconstruct`, such as --preset draft|standard, "
-        "--device auto|cpu|cuda, --masks DIR, --resume, --progress json.",
+        epilog="Every OPTION is one of `robir reconstruct`, such as --device auto|cpu|cuda, "
+        "--set SECTION.KEY=VALUE, --masks DIR, --resume, --progress json.",
         allow_abbrev=False,
     )
     parser.add_argument(

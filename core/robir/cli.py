@@ -30,7 +30,6 @@ from robir.arguments import (
 )
 from robir.errors import CancelledError, RobirError, StorageError
 from robir.jobs.paths import STAGES
-from robir.presets import PRESETS
 from robir.streams import make_patient, output_fault
 
 _log = logging.getLogger("robir")
@@ -108,11 +107,6 @@ def _add_reconstruct(subparsers: argparse._SubParsersAction[argparse.ArgumentPar
     parser.set_defaults(command=commands.reconstruct)
     parser.add_argument("capture", type=path_argument, metavar="CAPTURE", help=_CAPTURE)
     parser.add_argument("-o", "--out", type=path_argument, required=True, help="result folder")
-    parser.add_argument(
-        "--preset",
-        choices=sorted(PRESETS),
-        help="what it may cost; default draft, or the folder's own settings with --resume",
-    )
     parser.add_argument("--device", choices=("cpu", "cuda", "auto"), default="auto")
     parser.add_argument(
         "--config", type=path_argument, metavar="FILE", help="TOML file of changed settings"
@@ -155,7 +149,14 @@ def _add_reconstruct(subparsers: argparse._SubParsersAction[argparse.ArgumentPar
         help="end after this stage; --resume goes on from there, here or on another machine",
     )
     parser.add_argument(
-        "--resume", action="store_true", help="go on in an unfinished result folder"
+        "--resume",
+        action="store_true",
+        help="go on in an unfinished result folder, by its own settings but for those given",
+    )
+    parser.add_argument(
+        "--defaults",
+        action="store_true",
+        help="with --resume: start from the defaults, not from the folder's own settings",
     )
     _add_progress(parser)
 
@@ -174,7 +175,6 @@ def _add_batch(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "-o", "--out", type=path_argument, required=True, metavar="LIBRARY", help="results' folder"
     )
-    parser.add_argument("--preset", choices=sorted(PRESETS), help="of all captures")
     _add_set(parser)
     parser.add_argument(
         "--format",

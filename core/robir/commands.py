@@ -15,7 +15,6 @@ from robir.config import RunConfig, resolve
 from robir.errors import CaptureError, ConfigError, RobirError, UsageError
 from robir.jobs.folder import refuse_special
 from robir.jobs.paths import STAGES, JobPaths, write_json
-from robir.presets import PRESETS
 
 
 def reconstruct(options: Namespace) -> int:
@@ -31,14 +30,13 @@ def reconstruct(options: Namespace) -> int:
     from robir.pipeline.runner import reconstruct as run
 
     keep_freed_memory()
-    preset, config, (masks, mesh) = _settings(options)
+    config, (masks, mesh) = _settings(options)
     asset = None if options.asset is None else read_facts(options.asset)
     with display_for(options.progress) as display:
         request = RunRequest(
             source=options.capture,
             masks=masks,
             out=options.out,
-            preset=preset,
             config=config,
             execution=choose_execution(options.device, options.threads),
             is_resume=options.resume,
@@ -171,35 +169,32 @@ def selftest(options: Namespace) -> int:
     return code
 
 
-def _settings(
-    options: Namespace,
-) -> tuple[str, RunConfig, tuple[Path | None, Path | None]]:
-    """Preset name, configuration, masks and mesh; with --resume the folder's are the default."""
+def _settings(options: Namespace) -> tuple[RunConfig, tuple[Path | None, Path | None]]:
+    """Configuration, masks and mesh; with --resume the folder's settings are the default."""
     from robir.pipeline import folder
 
     paths = JobPaths(options.out)
     before = folder.read_run(paths) if options.resume else None
-    preset, base, masks, mesh = options.preset or "draft", None, options.masks, options.mesh
+    base, masks, mesh = RunConfig(), options.masks, options.mesh
     if before is not None:
         folder.refuse_unnamed(paths, before, "masks", masks)
         folder.refuse_unnamed(paths, before, "mesh", mesh)
-    if before is not None and options.preset is None and paths.config.exists():
-        preset = before["preset"]
+    if before is not None and not options.defaults and paths.config.exists():
         try:
             base = folder.read_config(paths)
         except ConfigError as error:
-            hint = f"--preset {preset} goes on with today's settings"
+            hint = "add --defaults to go on with today's settings"
             raise ConfigError(f"{error}; {hint}") from error
         if base.capture.outside == "take":  # the folder may be a stranger's: only the user says so
             base = replace(base, capture=replace(base.capture, outside="refuse"))
-    config = resolve(base or PRESETS[preset](), options.config, options.assignments)
+    config = resolve(base, options.config, options.assignments)
     if options.seed is not None:
         config = replace(config, seed=options.seed)
     if options.constants:
         config = replace(config, constants=tuple(options.constants))
     if config.geometry.fit_mesh and mesh is None:
         raise UsageError("--fit-mesh moves the mesh that --mesh FILE names; give that too")
-    return preset, config, (masks, mesh)
+    return config, (masks, mesh)
 
 
 def _finished(out: Path) -> JobPaths:

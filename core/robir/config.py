@@ -32,7 +32,7 @@ from robir.transport.config import TransportConfig
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunConfig:
-    """Settings of a whole reconstruction; the defaults are the preset `draft`.
+    """Settings of a whole reconstruction.
 
     Attributes:
         seed: Seed of every random generator, >= 0.

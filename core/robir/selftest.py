@@ -20,7 +20,7 @@ from robir.errors import CancelledError, DeviceError, RobirError, StorageError
 from robir.export.blender import missing_blender
 from robir.pipeline.device import Machine, choose_execution, machine
 
-DRAFT_BYTES = 2 << 30  # memory that a draft of a usual capture takes at most
+USUAL_BYTES = 2 << 30  # memory that a usual capture takes at most
 
 _DISK_ERRORS = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES})
 
@@ -64,9 +64,9 @@ def run_selftest(
         device, found = execution.device, machine(execution.device)
         psnr = judged_fit(execution, progress)
         message = f"A small fit on {found.name} took {time.monotonic() - begin:.0f} s"
-        if 0 < found.free_memory_bytes < DRAFT_BYTES:
+        if 0 < found.free_memory_bytes < USUAL_BYTES:
             message += f", but only {_gigabytes(found.free_memory_bytes)} of memory are free"
-            cure = f"a draft needs up to {_gigabytes(DRAFT_BYTES)}: close other programs"
+            cure = f"a usual capture needs up to {_gigabytes(USUAL_BYTES)}: close other programs"
     except CancelledError:
         raise
     except (ImportError, OSError, RuntimeError, RobirError) as error:

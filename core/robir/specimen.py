@@ -19,14 +19,13 @@ import torch
 from numpy.typing import NDArray
 from PIL import Image
 
-from robir.config import resolve
+from robir.config import RunConfig, resolve
 from robir.errors import QualityError
 from robir.jobs.paths import JobPaths, read_json, write_json
 from robir.maths.tone import srgb_from_linear
 from robir.maths.vectors import fibonacci_sphere
 from robir.pipeline.device import Execution
 from robir.pipeline.runner import RunRequest, load_stages, reconstruct
-from robir.presets import draft
 
 Array = NDArray[np.float64]
 Progress = Callable[[float, str], None]
@@ -44,7 +43,7 @@ FOCAL = 1.6 * SIDE
 SUBPIXELS = 4
 VIEWS = {"train": 14, "test": 3}
 
-# a draft cut down to a few CPU seconds
+# a run cut down to a few CPU seconds
 SETTINGS = (
     f"geometry.image_side={SIDE}",
     "geometry.hull_cells=32",
@@ -135,8 +134,7 @@ def judged_fit(execution: Execution, progress: Progress) -> float:
             source=capture,
             masks=None,
             out=paths.root,
-            preset="draft",
-            config=resolve(draft(), None, SETTINGS),
+            config=resolve(RunConfig(), None, SETTINGS),
             execution=execution,
             is_resume=False,
         )

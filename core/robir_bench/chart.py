@@ -30,7 +30,7 @@ SVG_STYLE: Any = {"svg.fonttype": "none", "svg.hashsalt": "robir", "font.size": 
 def speed_accuracy(records: Sequence[Record]) -> str:
     """The chart as SVG text.
 
-    Large markers are medians over captures and seeds, joined over presets; small ones are runs.
+    Large markers are medians over captures and seeds; small ones are runs.
 
     Args:
         records: Runs that were scored.
@@ -46,15 +46,14 @@ def speed_accuracy(records: Sequence[Record]) -> str:
         return svg(figure)
 
 
-def medians(score: Score, records: Sequence[Record]) -> dict[tuple[str, str], tuple[float, float]]:
-    """Median seconds and score of each method and preset that has any."""
-    found: dict[tuple[str, str], tuple[float, float]] = {}
-    for key in dict.fromkeys((record["method"], record["preset"]) for record in records):
-        members = [r for r in records if (r["method"], r["preset"]) == key]
-        points = [_point(score, record) for record in members]
+def medians(score: Score, records: Sequence[Record]) -> dict[str, tuple[float, float]]:
+    """Median seconds and score of each method that has any."""
+    found: dict[str, tuple[float, float]] = {}
+    for method in dict.fromkeys(record["method"] for record in records):
+        points = [_point(score, record) for record in records if record["method"] == method]
         known = [point for point in points if point is not None]
         if known:
-            found[key] = (median(p[0] for p in known), median(p[1] for p in known))
+            found[method] = (median(p[0] for p in known), median(p[1] for p in known))
     return found
 
 
@@ -92,8 +91,8 @@ def _draw_panel(
         points = [_point(score, record) for record in records if record["method"] == method]
         known = [point for point in points if point is not None]
         axes.plot(*_columns(known), linestyle="", markersize=3.5, alpha=0.35, **style)
-        curve = sorted(point for key, point in found.items() if key[0] == method)
-        axes.plot(*_columns(curve), label=method, markersize=8, linewidth=1.2, **style)
+        own = [found[method]] if method in found else []
+        axes.plot(*_columns(own), label=method, linestyle="", markersize=8, **style)
     middle = list(found.values())
     sign = -1.0 if score.best == "high" else 1.0
     front = [middle[i] for i in pareto_front([(s, sign * v) for s, v in middle])]

@@ -20,7 +20,7 @@ from robir_bench.truth.scores import ALBEDO, SHADOW
 # a run whose albedo is this far below the median of its scene's unperturbed runs is wrong
 MISLED_DECIBEL = 6.0
 
-_KEYS = ("capture", "preset", "method", "seed")
+_KEYS = ("capture", "method", "seed")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -173,7 +173,7 @@ def vigilance(records: Iterable[Record]) -> dict[str, int]:
 
 
 def _usual_albedo(records: Sequence[Record]) -> dict[tuple[str, ...], float]:
-    """Median albedo in dB of the unperturbed runs of each scene, preset and method."""
+    """Median albedo in dB of the unperturbed runs of each scene and method."""
     found: dict[tuple[str, ...], list[float]] = {}
     for record in records:
         if "scores" in record and not record["factor"]:
@@ -182,7 +182,7 @@ def _usual_albedo(records: Sequence[Record]) -> dict[tuple[str, ...], float]:
 
 
 def _group(record: Record) -> tuple[str, ...]:
-    return record["capture"], record["preset"], record["method"]
+    return record["capture"], record["method"]
 
 
 def _methods(found: Sequence[Case]) -> list[str]:

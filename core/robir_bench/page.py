@@ -212,14 +212,14 @@ def _write(folder: Path, markdown: str, page: Page) -> Path:
 
 
 def _method_rows(folder: Path, runs: Sequence[BenchRun]) -> list[PictureRow]:
-    """Photograph, truth and each method's albedo, a row each capture, preset and seed."""
+    """Photograph, truth and each method's albedo, a row each capture and seed."""
     rows = []
-    for key in dict.fromkeys((run.capture, run.preset, run.seed) for run in runs):
-        members = [run for run in runs if (run.capture, run.preset, run.seed) == key]
+    for key in dict.fromkeys((run.capture, run.seed) for run in runs):
+        members = [run for run in runs if (run.capture, run.seed) == key]
         first = picture_file(members[0], folder)
         tiles = [(name, _inline(first, name)) for name in ("photograph", "true albedo")]
         tiles += [(run.method, _inline(picture_file(run, folder), "albedo")) for run in members]
-        rows.append(PictureRow(title=f"{key[0].name}, {key[1]}, seed {key[2]}", tiles=tiles))
+        rows.append(PictureRow(title=f"{key[0].name}, seed {key[1]}", tiles=tiles))
     return rows
 
 
@@ -229,7 +229,7 @@ def _photographed_row(folder: Path, run: BenchRun, record: Record) -> PictureRow
     trust = record["trust"] or {"doubts": []}
     doubts = [f"Not to be trusted: {doubt}." for doubt in trust["doubts"]]
     return PictureRow(
-        title=f"{run.capture.name}, {run.preset}, {run.method}, seed {run.seed}",
+        title=f"{run.capture.name}, {run.method}, seed {run.seed}",
         tiles=[(name, _inline(file, name, PHOTOGRAPHED_TILES)) for name in PHOTOGRAPHED_TILES],
         notes=[*level_notes(record["scores"]["levels"]), *doubts],
     )

@@ -2,7 +2,6 @@
 """What a bench or a stability sweep runs, from a small TOML file.
 
 captures = ["captures/truck-filmic", "captures/hotdog-standard"]   # relative to the file
-presets = ["draft"]
 methods = ["ours", "no visibility", "photo"]
 seeds = [0]
 settings = ["export.renders=false"]
@@ -29,7 +28,6 @@ from pathlib import Path
 from typing import Any
 
 from robir.errors import ConfigError
-from robir.presets import PRESETS
 from robir.settings import parse_assignment, read_toml, settings_from_table
 from robir_bench.paper.config import VARIANTS
 from robir_bench.stability.perturb import Perturbation
@@ -42,7 +40,7 @@ MITSUBA_TOLD = "mitsuba, true curve and sun"
 # methods that share nothing but capture and geometry, see photo.py and prb.py
 BORROWERS = (PHOTO, MITSUBA, MITSUBA_TOLD)
 
-# Each method as settings put over the preset. Those of BORROWERS have none; neither have the
+# Each method as settings put over the defaults. Those of BORROWERS have none; neither have the
 # published ones (see published.py), which share the capture alone.
 METHODS: dict[str, tuple[str, ...]] = {
     OURS: (),
@@ -63,20 +61,15 @@ class BenchPlan:
     # folders of captures, relative to the plan's folder; those without truth are scored by their
     # held-out photographs alone
     captures: tuple[str, ...]
-    presets: tuple[str, ...] = ("draft",)  # names of presets
     methods: tuple[str, ...] = (OURS,)  # names in METHODS
     seeds: tuple[int, ...] = (0,)  # seeds of the reconstruction and of what spoils a capture
     settings: tuple[str, ...] = ("export.renders=false",)  # items as for `--set`, for every run
 
     def __post_init__(self) -> None:
         """Refuse names nobody knows, and methods that miss what they start from."""
-        for given, known, what in (
-            (self.presets, PRESETS, "presets"),
-            (self.methods, METHODS, "methods"),
-        ):
-            unknown = sorted(set(given) - set(known))
-            if unknown:
-                raise ConfigError(f"{what}: {unknown[0]!r} is unknown; known: {', '.join(known)}")
+        if unknown := sorted(set(self.methods) - set(METHODS)):
+            known = ", ".join(METHODS)
+            raise ConfigError(f"methods: {unknown[0]!r} is unknown; known: {known}")
         for method in (*BORROWERS, *VARIANTS):
             if method in self.methods and OURS not in self.methods:
                 what = f"methods: {method!r} starts from stages of 'ours'; list that too"
@@ -110,7 +103,6 @@ class BenchRun:
     """One result of a bench."""
 
     capture: Path  # folder of the capture
-    preset: str  # preset
     method: str  # name in METHODS
     seed: int  # seed
     settings: tuple[str, ...]  # items for `--set`, those of the method last
@@ -126,7 +118,7 @@ class BenchRun:
     def name(self) -> str:
         """Name of the run's folder, unique within a plan whose captures have unique names."""
         method = self.method.replace(",", "").replace(" ", "-")
-        words = (self.capture.name, self.preset, method, str(self.seed))
+        words = (self.capture.name, method, str(self.seed))
         return "_".join(words)
 
     @property
@@ -137,7 +129,6 @@ class BenchRun:
         return {
             "name": self.name,
             "capture": scene.name,
-            "preset": self.preset,
             "method": self.method,
             "seed": self.seed,
             "factor": "" if spoilt is None else spoilt.factor,
@@ -204,10 +195,9 @@ def _runs(path: Path, table: dict[str, Any]) -> Iterator[BenchRun]:
     if twins:
         raise ConfigError(f"{path}: two captures are called {twins[0]!r}; rename one")
     methods = sorted(plan.methods, key=list(METHODS).index)
-    for capture, preset, seed, method in product(captures, plan.presets, plan.seeds, methods):
+    for capture, seed, method in product(captures, plan.seeds, methods):
         yield BenchRun(
             capture=capture,
-            preset=preset,
             method=method,
             seed=seed,
             settings=_joined(plan.settings + METHODS[method]),

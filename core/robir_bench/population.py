@@ -58,7 +58,7 @@ class Spread:
 
 
 def read_population(folder: Path) -> list[BenchRun]:
-    """A run of each capture of a population, whole method and default preset.
+    """A run of each capture of a population, by the whole method.
 
     Raises:
         ConfigError: If the folder holds no capture with truth.
@@ -73,7 +73,6 @@ def read_population(folder: Path) -> list[BenchRun]:
     return [
         BenchRun(
             capture=capture,
-            preset=plan.presets[0],
             method=OURS,
             seed=plan.seeds[0],
             settings=plan.settings,

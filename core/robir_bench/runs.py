@@ -15,11 +15,10 @@ from statistics import mean
 from typing import Any
 
 from robir.batch.local import worker_environment
-from robir.config import resolve
+from robir.config import RunConfig, resolve
 from robir.errors import QualityError, RobirError
 from robir.jobs.paths import STAGES, JobPaths, read_json, replacing, write_json
 from robir.pipeline.device import Usage
-from robir.presets import PRESETS
 from robir_bench.judge.oracles import is_set_after_step, mesh_of
 from robir_bench.paper.config import VARIANTS, shrunken
 from robir_bench.plan import BORROWERS, MITSUBA_TOLD, OURS, PHOTO, BenchRun
@@ -250,7 +249,7 @@ def _made(run: BenchRun, out: Path) -> Record:
 def _reconstructed(run: BenchRun, out: Path) -> Record:
     """Run the pipeline; scores of its re-rendered held-out views."""
     changes = [word for setting in run.settings for word in ("--set", setting)]
-    words = ["--preset", run.preset, "--seed", str(run.seed), "--resume", "--progress", "plain"]
+    words = ["--seed", str(run.seed), "--resume", "--defaults", "--progress", "plain"]
     if run.oracle is not None and (mesh := mesh_of(run.oracle, run.capture)) is not None:
         words += ["--mesh", str(mesh)]
     where = (str(run.capture), str(out))
@@ -293,7 +292,7 @@ def _textured(run: BenchRun, out: Path) -> Record:
     if run.method == PHOTO:
         from robir_bench.peers.photo import texture_photographs
 
-        scores = texture_photographs(paths, resolve(PRESETS[run.preset](), None, run.settings))
+        scores = texture_photographs(paths, resolve(RunConfig(), None, run.settings))
     else:
         from robir_bench.peers.prb import traced_appearance
 
@@ -320,7 +319,7 @@ def _published(run: BenchRun, out: Path) -> Record:
     if not paths.manifest("capture").exists():
         raise _RunError("the whole method left no capture to start from", 1)
     settings = (*run.settings, f"seed={run.seed}")
-    config = resolve(PRESETS[run.preset](), None, settings)
+    config = resolve(RunConfig(), None, settings)
     return reconstruct_published(paths, config, run.method, shrunken())
 
 

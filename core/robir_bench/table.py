@@ -30,7 +30,7 @@ class Table:
 
 
 def bench_tables(records: Iterable[Record]) -> list[Table]:
-    """Summary of each preset and method, all runs, and those that failed."""
+    """Summary of each method, all runs, and those that failed."""
     done, failed = split(records)
     rendered = [record for record in done if is_rendered(record)]
     shown = [record for record in done if "levels" in record["scores"]]
@@ -49,12 +49,12 @@ def _truth_tables(records: Sequence[Record]) -> list[Table]:
     return [
         Table(
             title="Over all runs",
-            head=["preset, method", *titles, "clipping told right"],
+            head=["method", *titles, "clipping told right"],
             rows=_summary(records),
         ),
         Table(
             title="Runs",
-            head=["capture", "preset", "method", "seed", *titles, "tone curve"],
+            head=["capture", "method", "seed", *titles, "tone curve"],
             rows=[_run_row(record) for record in records],
         ),
     ]
@@ -65,23 +65,23 @@ def _level_table(records: Sequence[Record]) -> Table:
     columns = (*LEVEL_SCORES, SECONDS)
     rows = [
         [
-            *(str(record[key]) for key in ("capture", "preset", "method", "seed")),
+            *(str(record[key]) for key in ("capture", "method", "seed")),
             *(column.text(value(column, record)) for column in columns),
             _trusted(record),
             record["scores"]["levels"]["verdict"].partition(":")[0].rstrip("."),
         ]
         for record in records
     ]
-    for preset, method in dict.fromkeys((r["preset"], r["method"]) for r in records):
-        members = [r for r in records if (r["preset"], r["method"]) == (preset, method)]
+    for method in dict.fromkeys(record["method"] for record in records):
+        members = [record for record in records if record["method"] == method]
         trusted = sum(_trusted(record) == "yes" for record in members)
         for name in ("median", "worst"):
             cells = [_summarised(column, members, name) for column in columns]
-            rows.append([name, preset, method, "", *cells, f"{trusted}/{len(members)}", ""])
+            rows.append([name, method, "", *cells, f"{trusted}/{len(members)}", ""])
     titles = [column.title for column in columns]
     return Table(
         title="Held-out photographs, level by level",
-        head=["capture", "preset", "method", "seed", *titles, "trusted", "most is lost"],
+        head=["capture", "method", "seed", *titles, "trusted", "most is lost"],
         rows=rows,
     )
 
@@ -118,21 +118,20 @@ def value(score: Score, record: Record) -> float | None:
 def _run_row(record: Record) -> list[str]:
     tone = record["scores"]["tone_curve"]
     return [
-        *(str(record[key]) for key in ("capture", "preset", "method", "seed")),
+        *(str(record[key]) for key in ("capture", "method", "seed")),
         *(score.text(value(score, record)) for score in (*SCORES, *COSTS)),
         f"{tone['family']} / {tone['true_view_transform']}",
     ]
 
 
 def _summary(records: Sequence[Record]) -> list[list[str]]:
-    groups = dict.fromkeys((record["preset"], record["method"]) for record in records)
     rows = []
-    for preset, method in groups:
-        members = [r for r in records if (r["preset"], r["method"]) == (preset, method)]
+    for method in dict.fromkeys(record["method"] for record in records):
+        members = [record for record in records if record["method"] == method]
         right = sum(_is_clipping_told_right(record) for record in members)
         for name in ("median", "worst"):
             cells = [_summarised(score, members, name) for score in (*SCORES, *COSTS)]
-            rows.append([f"{preset}, {method}: {name}", *cells, f"{right}/{len(members)}"])
+            rows.append([f"{method}: {name}", *cells, f"{right}/{len(members)}"])
     return rows
 
 

@@ -7,7 +7,6 @@ import os
 from argparse import Namespace
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 from robir.batch.farm import FarmJob, FarmStep, Place
 from robir.batch.local import memory_needed
@@ -91,6 +90,5 @@ def _captures(run: BenchRun, out: Path) -> Iterator[Path]:
 def _need(run: BenchRun, out: Path) -> int:
     """Bytes of memory."""
     *_, capture = _captures(run, out)
-    preset: Any = run.preset  # a known one, as its plan was read
-    entry = Entry(path=capture.name, preset=preset, settings=run.settings)
+    entry = Entry(path=capture.name, settings=run.settings)
     return memory_needed(Plan(captures=capture.parent, entries=(entry,)), entry)

@@ -40,7 +40,7 @@ class ROBIR_MT_commands(bpy.types.Menu):
             for name in group:
                 layout.operator(f"robir.{name}")
             if "reconstruct" in group:
-                layout.prop_menu_enum(settings, "preset")
+                layout.prop_menu_enum(settings, "texture")
                 layout.prop_menu_enum(settings, "device")
             if "pick_spot" in group:
                 layout.prop_menu_enum(settings, "tone_curve")

@@ -101,14 +101,19 @@ class ROBIR_PG_settings(bpy.types.PropertyGroup):
         "folder of captures",
         update=lambda _settings, _context: batch.look(),
     )
-    preset: EnumProperty(
-        name="Preset",
-        description="How much work is put into the result",
+    texture: EnumProperty(
+        name="Texture",
+        description="How fine the textures are, and the photographs that they are made of",
         items=(
-            ("draft", "Draft", "Minutes on two processor cores"),
-            ("standard", "Standard", "Finer mesh and textures, for photographs above 800 pixels"),
+            ("2K", "2K", "At most 2048 texels a side, from photographs of 800 pixels"),
+            (
+                "4K",
+                "4K",
+                "At most 4096 texels a side, from photographs of 1600 pixels: sharper prints, for "
+                "more time and memory",
+            ),
         ),
-        default="draft",
+        default="2K",
     )
     device: EnumProperty(
         name="Device",

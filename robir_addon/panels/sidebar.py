@@ -207,7 +207,7 @@ class ROBIR_PT_reconstruct(Panel, bpy.types.Panel):
 def _draw_choices(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     """What is asked for, and the button that begins."""
     settings = context.scene.robir
-    split(layout).prop(settings, "preset")
+    split(layout).prop(settings, "texture")
     big(layout).operator("robir.reconstruct", icon="PLAY")
     layout.operator("robir.delight", icon="SHADING_TEXTURE")
     header, body = layout.panel("ROBIR_choices", default_closed=True)

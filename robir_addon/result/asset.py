@@ -30,13 +30,12 @@ def make_asset(asset: bpy.types.Object, paths: JobPaths, *, is_packed: bool = Tr
     asset.asset_mark()
     data = asset.asset_data
     data.description = (
-        f"Reconstructed from {len(table['views'])} photographs by RobIR {__version__}, "
-        f"preset {run['preset']}"
+        f"Reconstructed from {len(table['views'])} photographs by RobIR {__version__}"
     )
     for tag in ("RobIR", "reconstruction", paths.root.name):
         data.tags.new(tag, skip_if_exists=True)
     asset["robir_version"] = __version__
-    for name in ("preset", "device", "seed"):
+    for name in ("device", "seed"):
         asset[f"robir_{name}"] = run[name]
     for slot in asset.material_slots:
         for node in slot.material.node_tree.nodes if slot.material else ():

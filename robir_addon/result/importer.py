@@ -55,7 +55,7 @@ _TONE_CURVE = {
     "blender_view_transform": (None, str),
     "blender_gamma?": float,
 }
-_RUN = {"preset": str, "device": str, "seed": int}
+_RUN = {"device": str, "seed": int}
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 """What the user knows and photographs leave open: a spot's paint, the sun, the tone curve."""
 
 import json
+import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -13,10 +14,10 @@ from mathutils.geometry import barycentric_transform, closest_point_on_tri
 
 from ..blocks import numbers_of
 from ..engine.errors import RequestError, ResultError
-from ..gateway import JobPaths, client, read_record
+from ..gateway import JobPaths, client, read_record, read_regular
 from ..words import told
 from .delight import has_own_layout, target_of
-from .importer import asset_of, mark_of, read_run
+from .importer import asset_of, mark_of
 from .placing import SPOT
 
 FAR = 0.05  # farthest that a point may lie from the surface, shares of the object's longest side
@@ -130,9 +131,21 @@ def shape_of(root: Path) -> str:
     return manifest.get("fingerprint", "")
 
 
+# longer sides of photographs, pixels, and of textures, texels, by the choice Texture; those of "2K"
+# are the engine's defaults
+SIDES = {"2K": (800, 2048), "4K": (1600, 4096)}
+_MOST_BYTES = 1 << 20  # of a result's settings; they have two thousand
 AUTOMATIC = "auto"  # the tone curve that the engine is to find itself
 _SPOT = ("spot_texel", "spot_result", "spot_shape")
 _DIGITS = 6  # decimals that a property's single precision holds
+
+
+def size_of(settings: Any) -> tuple[str, ...]:
+    """Items of `--set` by which the engine is told of finer textures; none for the usual ones."""
+    if settings.texture == "2K":
+        return ()
+    photograph, texture = SIDES[settings.texture]
+    return f"capture.max_side={photograph}", f"appearance.texture_size={texture}"
 
 
 def known_of(settings: Any) -> tuple[str, ...]:
@@ -170,15 +183,22 @@ def check_spot(settings: Any, request: client.Request) -> None:
     if mark_of(request.out) != settings.spot_result:
         text = "the spot of known paint was picked on {name}; pick it on this result or forget it"
         raise RequestError(text, name=picked.name)
-    try:
-        preset = read_run(JobPaths(picked))["preset"]
-    except ResultError:
-        preset = ""
-    if preset != request.preset or shape_of(picked) != settings.spot_shape:
+    # photographs of another size make another shape
+    is_alike = _photograph_side_of(picked) == SIDES[settings.texture][0]
+    if not is_alike or shape_of(picked) != settings.spot_shape:
         raise RequestError(
-            "the spot of known paint lies on another shape than the one of this preset; forget "
-            "the spot, reconstruct, and pick it again"
+            "the spot of known paint lies on another shape than the one this texture size makes; "
+            "forget the spot, reconstruct, and pick it again"
         )
+
+
+def _photograph_side_of(root: Path) -> Any:
+    """To which longer side a result reduced its photographs, pixels; None if that is not known."""
+    try:
+        text = read_regular(JobPaths(root).config, _MOST_BYTES).decode("utf-8")
+        return tomllib.loads(text)["capture"]["max_side"]
+    except (OSError, ValueError, RecursionError, LookupError, TypeError):
+        return None
 
 
 def forget_former_spot(settings: Any, root: Path) -> list[str]:

@@ -18,7 +18,7 @@ from ..gateway import JobPaths, __version__, leads_out, read_regular
 
 _LOG_LINES = 40
 _MOST_BYTES = 1 << 26
-_SETTINGS = ("preset", "device", "rotation", "turntable_frames", "use_sun_lamp")
+_SETTINGS = ("texture", "device", "rotation", "turntable_frames", "use_sun_lamp")
 _FOLDERS = ("capture", "masks", "out", "result")
 
 

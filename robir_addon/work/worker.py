@@ -14,7 +14,7 @@ from mathutils import Vector
 
 from ..capture.photographs import left_out_of
 from ..gateway import client
-from ..result.known import known_of
+from ..result.known import known_of, size_of
 
 # what the command line calls a thing, and what it is called in the panel
 _WORDS = (
@@ -34,7 +34,7 @@ _WORDS = (
     ("Or say where the object is with the setting capture.box=[x, y, z, width, depth, height].",
      "Or press Add Object Box and move it about the object."),
     ("do without them with --skip-missing", "press Leave Out"),
-    ("with --set, ", "or take a lower preset, "),
+    ("with --set, ", "or choose 2K as Texture, "),
     (", or try another --seed", ""),
     ("run `robir check` on the capture", "look at the findings under Capture"),
     ("Run `robir check` and look", "Look"),
@@ -105,13 +105,12 @@ def request_of(settings: Any) -> client.Request:
     return client.Request(
         capture=capture,
         out=out,
-        preset=settings.preset,
         device=settings.device,
         masks=absolute(settings.masks),
         box=box_of(settings),
         skips_missing=settings.skip_missing,
         left_out=left_out_of(settings),
-        settings=known_of(settings),
+        settings=(*size_of(settings), *known_of(settings)),
     )
 
 

@@ -110,7 +110,7 @@ def reopened():
     state = bpy.context.window_manager.robir
     state.task, state.message = "reconstruct", "fitting the surface"
     state.findings.add().text = "clipped"
-    bpy.context.scene.robir.preset = "standard"
+    bpy.context.scene.robir.texture = "4K"
     file = str(Path(bpy.app.tempdir) / "saved.blend")
     bpy.ops.wm.save_as_mainfile(filepath=file)
     answer = []
@@ -119,7 +119,7 @@ def reopened():
         state = bpy.context.window_manager.robir
         answer.append([state.task, state.message, len(state.findings)])
         state.message = "of the file before"
-    return [*answer, bpy.context.scene.robir.preset]
+    return [*answer, bpy.context.scene.robir.texture]
 
 
 def traces():

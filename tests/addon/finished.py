@@ -5,10 +5,12 @@ from pathlib import Path
 
 from evaluation import sphere_run
 
+from robir.config import RunConfig
 from robir.export import stage
 from robir.export.config import ExportConfig
 from robir.jobs.context import StageContext
 from robir.jobs.paths import JobPaths
+from robir.settings import toml_from_settings
 
 
 class Quiet:
@@ -22,6 +24,7 @@ class Quiet:
 def make_result(folder: Path) -> JobPaths:
     """Export the sphere without pictures of Blender's."""
     paths = sphere_run.make_run(folder)
+    paths.config.write_text(toml_from_settings(RunConfig()), encoding="utf-8")
     stage.run(
         StageContext(
             paths=paths,

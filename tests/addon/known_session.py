@@ -150,9 +150,10 @@ def requests(result, capture, other):
     answer["elsewhere"] = refusal()
     settings().out = result
     answer["here"] = refusal()
-    settings().preset = "standard"
-    answer["finer"] = refusal()
-    settings().preset = "draft"
+    settings().texture = "4K"
+    answer["finer"], answer["larger"] = refusal(), asked()[:2]
+    settings().texture = "2K"
+    answer["usual"] = known.SIDES["2K"]
     manifest = Path(result) / "stages" / "geometry" / "stage.json"
     manifest.write_text(json.dumps({"stage": "geometry", "fingerprint": "another"}))
     answer["changed"] = refusal()

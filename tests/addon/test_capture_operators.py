@@ -196,6 +196,6 @@ def test_a_script_reconstructs_and_imports(own_blender, session, capture, shots,
     assert answer["other_told"]["error_cure"] == "Choose another result folder"
     assert str(capture) in answer["recent"]
     assert answer["recent_out"] == str(out), "a chosen result folder is found again"
-    # so small a draft fails its own quality check, and is imported all the same
+    # so small a run fails its own quality check, and is imported all the same
     run = read_json(JobPaths(out).run)
     assert (run["state"], run["exit_code"]) == ("done", 5)

@@ -51,7 +51,7 @@ def seen(tmp_path):
 def test_reconstruct_hands_its_words_on_and_ends_with_the_engine_s_code(python, tmp_path, capfd):
     from robir_addon.command_line import reconstruct
 
-    words = ["a capture", "-o", "out", "--preset", "draft", "--set", "seed=1"]
+    words = ["a capture", "-o", "out", "--device", "cpu", "--set", "seed=1"]
     assert reconstruct([*words[:3], "--engine", str(python), *words[3:]]) == 3
     arguments, environment = seen(tmp_path)
     assert arguments == ["-P", "-m", "robir", "reconstruct", *words]

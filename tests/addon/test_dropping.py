@@ -75,7 +75,7 @@ def test_dropped_kept_and_gone(newest, extension_zip, captures, tmp_path):
     assert answer["elsewhere"][1] == "", "only the 3D viewport takes captures"
     assert "notes.txt holds no cameras" in answer["foreign"]
     assert not answer["busy"]
-    assert answer["reopened"] == [["", "", 0]] * 2 + ["standard"], "only settings are saved"
+    assert answer["reopened"] == [["", "", 0]] * 2 + ["4K"], "only settings are saved"
     there = answer["there"]
     assert there["scene"] and there["state"] and there["handlers"] and there["menus"]
     assert answer["disabled"] == answer["untouched"]

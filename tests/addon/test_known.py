@@ -14,6 +14,7 @@ from capture.writers import nerf_synthetic
 from evaluation import sphere_run
 
 from robir.appearance.config import FAMILIES
+from robir.config import RunConfig
 
 pytestmark = pytest.mark.blender
 
@@ -97,16 +98,19 @@ def test_what_is_known_goes_to_the_engine_and_to_no_other_capture(
     own_blender, session, result, captures
 ):
     answer = session(own_blender, "requests", str(result.root), *captures)
-    assert not [word for word in answer["nothing"] if word.startswith("appearance.")]
+    assert "--set" not in answer["nothing"]
     assert answer["picked"] == [["FINISHED"], ""]
     words = [word for word in answer["words"] if word.startswith("appearance.")]
     told = ['families=["agx"]', "white_point=[0.25, 0.75, 0.5, 0.25, 1.0]", "sun=[0.0, 0.6, 0.8]"]
     assert words == [f"appearance.{item}" for item in told]
     places = [answer["words"].index(word) for word in words]
     assert all(answer["words"][place - 1] == "--set" for place in places)
-    assert "--resume" in answer["words"]
+    assert "--resume" in answer["words"] and "--defaults" in answer["words"]
     assert "was picked on" in answer["elsewhere"]
     assert answer["here"] == answer["picked again"] == ""
+    assert answer["larger"] == ["capture.max_side=1600", "appearance.texture_size=4096"]
+    usual = RunConfig()
+    assert answer["usual"] == [usual.capture.max_side, usual.appearance.texture_size]
     assert "another shape" in answer["finer"] and "another shape" in answer["changed"]
     assert answer["refreshed"] == [["FINISHED"], ""]
     spot, sun, message = answer["after"]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`python tiny_engine.py check|reconstruct ...`: the real command line with a draft of seconds.
+"""`python tiny_engine.py check|reconstruct ...`: the real command line with a run of seconds.
 
 ROBIR_TEST_SLOWLY in the environment is a number of seconds to wait at every progress report.
 """
@@ -15,7 +15,8 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 sys.path[:0] = [str(ROOT / "core"), str(ROOT)]  # this checkout, whichever is installed
 
-from robir import cli, presets  # noqa: E402
+from robir import cli, commands  # noqa: E402
+from robir.config import RunConfig  # noqa: E402
 from robir.pipeline.reporter import RunReporter  # noqa: E402
 
 # constants by which a mesh's place is looked for by fewer photographs and among fewer turns
@@ -29,7 +30,7 @@ QUICK_TO_PLACE = (
 
 def tiny():
     """The least that every stage still works with."""
-    base = presets.draft()
+    base = RunConfig()
     geometry = replace(
         base.geometry, image_side=48, hull_cells=24, level_cells=(24, 32), level_steps=(50, 50),
         rays=256, face_budget=600, unwrap_seconds=20.0,
@@ -48,7 +49,7 @@ def tiny():
 
 def main() -> int:
     """Run the command line."""
-    presets.PRESETS["draft"] = tiny
+    commands.RunConfig = tiny
     pause, progress = float(os.environ.get("ROBIR_TEST_SLOWLY", "0")), RunReporter.progress
 
     def slowly(self: RunReporter, fraction: float, message: str) -> None:

@@ -192,7 +192,7 @@ def loaded_modules(statement: str) -> set[str]:
     "statement",
     [
         "import robir.jobs.paths, robir.jobs.client, robir.jobs.folder, robir.jobs.context",
-        "import robir.config, robir.presets",
+        "import robir.config",
         "import robir.cli\ntry: robir.cli.main(['--help'])\nexcept SystemExit: pass",
     ],
 )

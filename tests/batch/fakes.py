@@ -41,10 +41,10 @@ def make_template(folder: Path, capture: Path) -> Path:
     paths.config.write_text(toml_from_settings(RunConfig()))
     fingerprint = capture_fingerprint(capture, None, folder)
     about = {"name": capture.name, "place": "0", "masks": None, "fingerprint": fingerprint}
-    run = {"state": "done", "preset": "draft", "capture": about, "seconds": {}, "warnings": []}
+    run = {"state": "done", "capture": about, "seconds": {}, "warnings": []}
     write_json(paths.run, run | {"peak_memory_bytes": {}})
     report = {
-        "held_out": {"psnr": 24.0}, "trust": {"is_trusted": True, "doubts": []}, "preset": "draft",
+        "held_out": {"psnr": 24.0}, "trust": {"is_trusted": True, "doubts": []},
         "capture": {"train_views": 20}, "seconds": {"geometry": {"cpu": 60.0, "wall": 60.0}},
     }  # fmt: skip
     write_json(paths.report_json, report)

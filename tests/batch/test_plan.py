@@ -23,7 +23,7 @@ tags = ["chair", "wood"]
 [[capture]]
 path = "shots/lamp"
 name = "Lamp no. 1"
-preset = "standard"
+memory = "3G"
 masks = "masks/lamp"
 catalogue = "lights/desk"
 licence = "CC0-1.0"
@@ -53,7 +53,7 @@ def test_a_plan_names_captures_with_what_holds_for_all_below(folder):
     plan = read_plan([written(folder, PLAN)], {}, HERE)
     assert [entry.name for entry in plan.entries] == ["chair_a", "chair_b", "Lamp_no._1"]
     lamp = plan.entries[2]
-    assert (lamp.author, lamp.licence, lamp.preset) == ("Ann", "CC0-1.0", "standard")
+    assert (lamp.author, lamp.licence, lamp.memory) == ("Ann", "CC0-1.0", "3G")
     assert all(entry.config().transport.num_surfels == 3000 for entry in plan.entries)
     assert [entry.catalogue for entry in plan.entries] == ["chair", "chair", "lights/desk"]
 
@@ -79,14 +79,15 @@ def test_no_path_in_a_library_is_absolute(folder, tmp_path):
 @pytest.mark.parametrize(
     ("text", "line", "word"),
     [
-        ("[[capture]]\npath = 'shots/lamp'\nprest = 'draft'", 3, "did you mean 'preset'"),
+        ("[[capture]]\npath = 'shots/lamp'\nmemry = '3G'", 3, "did you mean 'memory'"),
         ("[[capture]]\npath = 'shots/lamp'\n\ntags = 'a'", 4, "must be a list"),
         ("author = 3\n[[capture]]\npath = 'shots/lamp'", 1, "author is 3: it must be a string"),
-        ("\n[[capture]]\npreset = 'draft'", 2, "no path"),
+        ("\n[[capture]]\nmemory = '3G'", 2, "no path"),
         ("[[capture]]\npath = 'shots/lamp'\n[[capture]]\npath = 'shots/x*'", 3, "matches no"),
         ("[[capture]]\npath='shots/lamp'\n[[capture]]\npath='a/lamp'", 3, "both become 'lamp'"),
         ("[[capture]]\npath='shots/lamp'\nsettings=['geometry.no=1']", 1, "geometry.no"),
-        ("[[capture]]\npath='shots/lamp'\npreset='slow'", 3, "choose one of 'draft'"),
+        ("[[capture]]\npath='shots/lamp'\npreset='draft'", 3, "unknown setting 'preset'"),
+        ("device='abacus'\n[[capture]]\npath='shots/lamp'", 1, "choose one of 'auto'"),
         ("[[capture]]\npath='shots/lamp'\nmemory='much'", 1, "no size"),
         ("[[capture]]\npath='shots/lamp'\ncatalogue='a//b'", 1, "'a//b' is none"),
         ("[[capture]]\npath = shots/lamp", 2, "not valid TOML"),
@@ -138,11 +139,11 @@ def test_names_of_many_bytes_or_of_no_text_are_refused(folder, tmp_path):
 
 
 def test_captures_may_be_named_without_a_plan(folder):
-    changes = {"preset": "standard", "settings": ["seed=3"]}
+    changes = {"memory": "3G", "settings": ["seed=3"]}
     plan = read_plan([str(folder / "shots" / "*")], changes, HERE)
     assert [entry.name for entry in plan.entries] == ["chair_a", "chair_b", "lamp"]
     assert plan.entries[0].config().seed == 3
-    assert plan.entries[0].preset == "standard"
+    assert plan.entries[0].memory == "3G"
     assert plan.captures == folder / "shots"
     with pytest.raises(UsageError, match="no capture"):
         read_plan([], {}, HERE)

@@ -13,10 +13,9 @@ from bench.fake_robir import write_plan
 from evaluation import sphere_run
 
 from robir import cli
-from robir.config import resolve
+from robir.config import RunConfig, resolve
 from robir.errors import ConfigError
 from robir.jobs.paths import JobPaths, read_json, write_json
-from robir.presets import PRESETS
 from robir_bench import runs as bench_runs
 from robir_bench.paper.config import VARIANTS
 from robir_bench.plan import BORROWERS, METHODS, OURS, read_plan, read_sweep
@@ -24,9 +23,8 @@ from robir_bench.runs import carry_out, read_scores
 
 
 @pytest.mark.parametrize("name", METHODS)
-@pytest.mark.parametrize("preset", PRESETS)
-def test_every_method_is_settings_that_exist_and_differ(name, preset):
-    base = PRESETS[preset]()
+def test_every_method_is_settings_that_exist_and_differ(name):
+    base = RunConfig()
     changed = resolve(base, None, METHODS[name])
     assert (changed == base) == (name in (OURS, *BORROWERS, *VARIANTS))
 
@@ -41,7 +39,7 @@ def test_a_plan_is_a_product_with_the_whole_method_first(tmp_path):
     assert len(planned) == 8
     assert [run.method for run in planned[:2]] == ["ours", "no visibility"]
     assert planned[1].settings == ("export.renders=false", "transport.use_visibility=false")
-    assert planned[1].name == "a_draft_no-visibility_0"
+    assert planned[1].name == "a_no-visibility_0"
     assert planned[0].capture == tmp_path / "a"
     assert len({run.name for run in planned}) == 8
 
@@ -53,7 +51,7 @@ def test_a_plan_is_a_product_with_the_whole_method_first(tmp_path):
         ('captures = ["a"]\nmethods = ["no light"]', "'no light' is unknown; known: ours"),
         ('captures = ["a"]\nmethods = ["photo"]', "list that too"),
         ('captures = ["a"]\nmethods = ["invrender"]', "list that too"),
-        ('captures = ["a"]\npresets = ["best"]', "'best' is unknown"),
+        ('captures = ["a"]\npresets = ["best"]', "unknown setting 'presets'"),
         ('captures = ["a"]\nseeds = ["0"]', "must be a whole number"),
         ('captures = ["x/a", "y/a"]', "two captures are called 'a'"),
     ],
@@ -87,9 +85,9 @@ def test_a_failing_run_stops_nothing_and_done_runs_are_not_repeated(
     assert cli.main(words) == 3
     page = Path(capsys.readouterr().out.strip())
     table = page.with_name("scores.md").read_text()
-    assert "| draft, ours: median | 22.0 | 10.0 | 20.0 | 1.00 | - |" in table
-    assert "| draft, no visibility: worst | 18.0 |" in table
-    assert "| bad_draft_ours_0 | 3 | robir: no masks |" in table
+    assert "| ours: median | 22.0 | 10.0 | 20.0 | 1.00 | - |" in table
+    assert "| no visibility: worst | 18.0 |" in table
+    assert "| bad_ours_0 | 3 | robir: no masks |" in table
     text = page.read_text()
     assert text.count("data:image/png") == 4  # photograph, truth, two albedos
     assert not re.findall(r'(?:src|href)="(?!data:|#)', text)
@@ -116,7 +114,7 @@ def test_a_method_starts_from_what_it_shares_with_the_whole(tmp_path, robir, cap
     carry_out(read_plan(plan), tmp_path / "out", None, lambda _line: None)
     records = read_scores(tmp_path / "out")
     assert len(records) == 3
-    photo = records["good_draft_photo_0"]
+    photo = records["good_photo_0"]
     assert set(photo["seconds"]) == {"capture", "geometry", "appearance"}
     assert photo["cpu_seconds"] == 4.0 + photo["seconds"]["appearance"]["cpu"]
     assert photo["held_out"]["views"] == 3
@@ -145,7 +143,7 @@ def test_the_photo_method_through_the_real_evaluation(tmp_path, capture):
     run = sphere_run.make_run(tmp_path / "whole")
     from robir_bench.peers.photo import texture_photographs
 
-    config = resolve(PRESETS["draft"](), None, ["appearance.texture_size=128"])
+    config = resolve(RunConfig(), None, ["appearance.texture_size=128"])
     paths = JobPaths(tmp_path / "photo")
     for stage in ("capture", "geometry"):
         shutil.copytree(run.stage(stage), paths.stage(stage))

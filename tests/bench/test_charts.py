@@ -18,7 +18,6 @@ def record(albedo=22.0, method="ours", seconds=90.0, factor="", value="", truste
     return {
         "name": f"a_{factor}_{value}_{method}_{albedo}",
         "capture": "a",
-        "preset": "draft",
         "method": method,
         "seed": 0,
         "factor": factor,
@@ -33,7 +32,7 @@ def record(albedo=22.0, method="ours", seconds=90.0, factor="", value="", truste
 
 
 def failure(factor="views", value="1"):
-    kept = ("name", "capture", "preset", "method", "seed", "factor", "value")
+    kept = ("name", "capture", "method", "seed", "factor", "value")
     whole = record(factor=factor, value=value)
     return {name: whole[name] for name in kept} | {"error": "no masks", "exit_code": 3}
 

@@ -56,7 +56,7 @@ def test_scores_of_two_days_compare_in_pairs(tmp_path, capsys):
 
 
 def test_each_quantity_is_a_run_of_its_own(capture):
-    run = BenchRun(capture=capture, preset="draft", method="ours", seed=0, settings=())
+    run = BenchRun(capture=capture, method="ours", seed=0, settings=())
     every = told_runs([run], [])
     assert [one.oracle for one in every] == [None, *ORACLES]
     assert len({one.name for one in every}) == len(every)

@@ -28,14 +28,14 @@ def test_a_capture_without_truth_is_scored_by_its_held_out_photographs(
     records = read_scores(out)
     assert len(records) == 4
     # a result that failed its own check counts, with that noted
-    assert records["noise_draft_ours_0"]["trust"]["is_trusted"] is False
+    assert records["noise_ours_0"]["trust"]["is_trusted"] is False
     table = page.with_name("scores.md").read_text()
     assert "albedo" not in table.partition("##")[2]
     lines = [line.split("|")[1:-1] for line in table.splitlines() if line.startswith("| ")]
     head = [cell.strip() for cell in lines[0]]
-    cells = {line[0].strip() + line[2]: [cell.strip() for cell in line] for line in lines[2:]}
+    cells = {line[0].strip() + line[1]: [cell.strip() for cell in line] for line in lines[2:]}
     ours = dict(zip(head, cells["photographed ours "], strict=True))
-    chain = records["photographed_draft_ours_0"]["scores"]["levels"]["chain"]
+    chain = records["photographed_ours_0"]["scores"]["levels"]["chain"]
     assert ours["c' (dB)"] == f"{chain['mean']['psnr']:.1f}"
     assert ours["e (dB)"] == "100.0" and ours["f (dB)"] == "-" and ours["trusted"] == "yes"
     assert ours["CPU-s"] == "10" and "loses" in ours["most is lost"]
@@ -49,7 +49,7 @@ def test_a_capture_without_truth_is_scored_by_its_held_out_photographs(
     plan.write_text(f'captures = ["{capture}", "photographed"]')
     assert cli.main(["bench", str(plan), "-o", str(out)]) == 0
     table = page.with_name("scores.md").read_text()
-    assert "| draft, ours: median | 22.0 |" in table and "level by level" in table
+    assert "| ours: median | 22.0 |" in table and "level by level" in table
     assert page.with_name("chart.svg").exists()
 
 

@@ -52,9 +52,9 @@ def population(tmp_path, capture) -> Path:
 def test_every_capture_with_truth_is_a_run_of_the_whole_method(population):
     runs = read_population(population)
     assert [run.name for run in runs] == [
-        "seed_0000_draft_ours_0",
-        "seed_0001_draft_ours_0",
-        "seed_1000bad_draft_ours_0",
+        "seed_0000_ours_0",
+        "seed_0001_ours_0",
+        "seed_1000bad_ours_0",
     ]
     assert verdicts(runs) == 1
     assert capture_classes(runs)["seed_0001"] == DULL
@@ -70,7 +70,7 @@ def test_the_command_reports_the_distribution_and_goes_on(population, tmp_path, 
     assert "2 of 3 captures are scored, 1 failed; 1 are of seeds for verdicts" in text
     assert "| share below the photo | 3 | 0.33 [" in text
     assert "| ground: none | 2 | 1 | 0.50 [" in text
-    assert "| seed_1000bad_draft_ours_0 | 3 | robir: no masks |" in text
+    assert "| seed_1000bad_ours_0 | 3 | robir: no masks |" in text
     found = json.loads(page.with_name("distribution.json").read_text())["classes"]
     assert found["all"][ALBEDO.title]["median"]["value"] == 22.0
     assert found["ground: none"]["failed"] == 1

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-# a draft cut to half a CPU-minute, for a capture of 96x96 pixels
+# a run cut to half a CPU-minute, for a capture of 96x96 pixels
 SETTINGS = (
     "geometry.level_cells=[48, 80]",
     "geometry.level_steps=[150, 250]",

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Posed images in, a relit asset out, with bars on the accuracy; everything real.
 
-The bars lie just below what this small capture and cut-down draft reach; whoever makes a stage
+The bars lie just below what this small capture and cut-down run reach; whoever makes a stage
 better raises them.
 """
 
@@ -48,7 +48,7 @@ def test_the_report_has_the_numbers_it_promises(spine):
     report = read_json(JobPaths(spine.out).report_json)
     assert set(STAGES) <= set(report["seconds"])
     assert report["held_out"]["psnr"] > 20.0
-    assert {"device", "preset", "tone_curve", "choices"} <= report.keys()
+    assert {"device", "tone_curve", "choices"} <= report.keys()
 
 
 def test_geometry_is_accurate(scores):

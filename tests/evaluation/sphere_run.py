@@ -261,7 +261,6 @@ def make_run(root: Path, textures: dict[str, np.ndarray] | None = None) -> JobPa
         {
             "robir_version": "0.1.0",
             "device": "cpu",
-            "preset": "draft",
             "seed": 0,
             "capture": {"name": "capture"},
             "seconds": {stage: {"wall": 2.0, "cpu": 1.5} for stage in STAGES[:-1]},

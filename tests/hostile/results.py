@@ -22,7 +22,7 @@ def write_result(root: Path, shots: list) -> JobPaths:
     paths.log.write_text("said\n")
     paths.worker_log.write_text('{"kind": "failed", "message": "no", "exit_code": 3}\n')
     capture = {"fingerprint": "0", "name": "c", "place": "0", "masks": None}
-    run = {"state": "done", "preset": "draft", "capture": capture, "peak_memory_bytes": {}}
+    run = {"state": "done", "capture": capture, "peak_memory_bytes": {}}
     run |= {"seconds": {"capture": {"wall": 1.0, "cpu": 1}}}
     run |= {"warnings": [{"stage": "capture", "message": "few views"}]}
     write_json(paths.run, run)

@@ -130,7 +130,7 @@ def test_a_snapshot_never_raises(tmp_path):
 def test_run_json_without_its_fields_is_damaged(tmp_path):
     paths = JobPaths(tmp_path)
     facts = {"fingerprint": "0", "name": "c", "place": "0", "masks": None}
-    run = {"state": "done", "preset": "draft", "capture": facts, "seconds": {}, "warnings": []}
+    run = {"state": "done", "capture": facts, "seconds": {}, "warnings": []}
     run["peak_memory_bytes"] = {}
     write_json(paths.run, run)
     assert read_run(paths) == run
@@ -146,7 +146,7 @@ def test_run_json_without_its_fields_is_damaged(tmp_path):
 )
 def test_names_of_any_length_in_run_json_open_nothing(tmp_path, capsys, given):
     facts = {"fingerprint": "0", "name": "c", "place": "0", "masks": None} | given
-    run = {"state": "done", "preset": "draft", "capture": facts, "seconds": {}, "warnings": []}
+    run = {"state": "done", "capture": facts, "seconds": {}, "warnings": []}
     write_json(JobPaths(tmp_path).run, run | {"peak_memory_bytes": {}})
     words = ["reconstruct", str(tmp_path), "-o", str(tmp_path), "--resume", "--progress", "plain"]
     assert cli.main(words) == 2

@@ -85,7 +85,7 @@ def test_the_settings_of_a_strangers_folder_open_no_other_files(tmp_path):
     from robir.settings import toml_from_settings
 
     paths = JobPaths(tmp_path)
-    run = {"state": "running", "preset": "draft", "seconds": {}, "peak_memory_bytes": {}}
+    run = {"state": "running", "seconds": {}, "peak_memory_bytes": {}}
     run |= {"capture": {"name": "c", "place": "0", "masks": None, "fingerprint": ""}}
     run |= {"warnings": []}
     write_json(paths.run, run)
@@ -93,9 +93,9 @@ def test_the_settings_of_a_strangers_folder_open_no_other_files(tmp_path):
     assert 'outside = "take"' in text
     paths.config.write_text(text)
     options = Namespace(
-        out=tmp_path, resume=True, preset=None, masks=None, mesh=None, config=None,
+        out=tmp_path, resume=True, defaults=False, masks=None, mesh=None, config=None,
         assignments=[], constants=[], seed=None,
     )  # fmt: skip
-    assert _settings(options)[1].capture.outside == "refuse"
+    assert _settings(options)[0].capture.outside == "refuse"
     options.assignments = ["capture.outside=take"]
-    assert _settings(options)[1].capture.outside == "take"
+    assert _settings(options)[0].capture.outside == "take"

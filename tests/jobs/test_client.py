@@ -231,7 +231,7 @@ def test_a_full_disk_is_said_and_nothing_lost(request_, small_disk):
 def test_a_box_is_a_setting_on_the_command_line(tmp_path):
     job = client.Request(capture=tmp_path, out=tmp_path / "out", box=(1, 2, 3, 4, 5, 6))
     assert job.choice_words() == ["--set", "capture.box=[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]"]
-    assert job.words()[-5:-3] == job.choice_words()
+    assert job.words()[-6:-4] == job.choice_words()
     job = replace(job, box=(), skips_missing=True, left_out=("r_1", 'Käthe\'s "hot" 🌭'))
     words = job.choice_words()
     assert words[0] == "--skip-missing"

@@ -92,7 +92,7 @@ class Silent:
 
 def request(source: Path, out: Path, *, is_resume: bool = False, **changes: Any) -> RunRequest:
     """A request with small defaults."""
-    values = {"masks": None, "preset": "draft", "config": RunConfig()} | changes
+    values = {"masks": None, "config": RunConfig()} | changes
     execution = Execution(device="cpu", threads=1)
     return RunRequest(source=source, out=out, execution=execution, is_resume=is_resume, **values)
 

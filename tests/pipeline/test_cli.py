@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from robir import cli
+from robir.config import RunConfig
 from robir.errors import CaptureError, DeviceError, QualityError
 from robir.export import blender
 from robir.jobs.paths import JobPaths, read_json
@@ -127,15 +128,14 @@ def test_wrong_settings_start_nothing(stages, capture, tmp_path, capsys, words, 
     assert not (tmp_path / "out").exists()
 
 
-def test_settings_come_from_preset_then_file_then_words(stages, capture, tmp_path):
+def test_settings_come_from_defaults_then_file_then_words(stages, capture, tmp_path):
     changes = tmp_path / "changes.toml"
     changes.write_text("seed = 4\n[geometry]\nrays = 1000\nhull_cells = 60\n")
-    words = ["--config", str(changes), "--set", "geometry.rays=900", "--preset", "standard"]
+    words = ["--config", str(changes), "--set", "geometry.rays=900"]
     assert reconstruct(capture, tmp_path / "out", *words) == 0
     config = folder.read_config(JobPaths(tmp_path / "out"))
     assert (config.seed, config.geometry.rays, config.geometry.hull_cells) == (4, 900, 60)
-    assert config.capture.max_side == 1600
-    assert read_json(JobPaths(tmp_path / "out").run)["preset"] == "standard"
+    assert config.geometry.face_budget == RunConfig().geometry.face_budget
 
 
 def test_resume_keeps_the_settings_of_the_folder(stages, capture, tmp_path, capsys):
@@ -143,16 +143,31 @@ def test_resume_keeps_the_settings_of_the_folder(stages, capture, tmp_path, caps
     masks = tmp_path / "masks"
     masks.mkdir()
     out = tmp_path / "out"
-    words = ["--preset", "standard", "--seed", "7", "--masks", str(masks)]
-    assert reconstruct(capture, out, *words) == 0
+    given, words = ["--seed", "7"], ["--masks", str(masks)]
+    assert reconstruct(capture, out, *given, *words) == 0
     assert reconstruct(capture, out, "--resume") == 2
     assert "name the same with --masks" in capsys.readouterr().err
-    assert reconstruct(capture, out, "--resume", *words[4:]) == 0
+    assert reconstruct(capture, out, "--resume", *words) == 0
     assert stages["capture"].calls == 1
     more = ["--set", "export.render_views=2"]
-    assert reconstruct(capture, out, "--resume", *words[4:], *more) == 0
+    assert reconstruct(capture, out, "--resume", *words, *more) == 0
     assert (stages["appearance"].calls, stages["export"].calls) == (1, 2)
     assert folder.read_config(JobPaths(out)).seed == 7
+
+
+def test_a_run_goes_on_with_the_defaults_instead(stages, capture, tmp_path, capsys):
+    """Such as where another version left settings that are not known."""
+    out, config = tmp_path / "out", JobPaths(tmp_path / "out").config
+    assert reconstruct(capture, out, "--set", "export.render_views=2") == 0
+    assert reconstruct(capture, out, "--resume", "--defaults") == 0
+    assert (stages["appearance"].calls, stages["export"].calls) == (1, 2)
+    assert folder.read_config(JobPaths(out)) == RunConfig()
+    run = read_json(JobPaths(out).run)
+    JobPaths(out).run.write_text(json.dumps(run | {"preset": "draft"}))  # as runs had it before
+    config.write_text(config.read_text().replace("render_views", "render_sights"))
+    assert reconstruct(capture, out, "--resume") == 2
+    assert "add --defaults" in capsys.readouterr().err
+    assert reconstruct(capture, out, "--resume", "--defaults") == 0
 
 
 def test_a_resumed_run_is_given_its_mesh_again(stages, capture, tmp_path, capsys):

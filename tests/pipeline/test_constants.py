@@ -63,7 +63,7 @@ def test_a_stage_and_those_after_it_run_again_where_its_constants_change():
 
 def test_a_sweep_keeps_the_constants_of_a_method(tmp_path):
     (own,) = METHODS["no far pairs"]
-    run = BenchRun(capture=tmp_path, preset="draft", method="ours", seed=0, settings=(own,))
+    run = BenchRun(capture=tmp_path, method="ours", seed=0, settings=(own,))
     (swept,) = with_constants([run], ["geometry.fit.descent._DOUBT=1"])
     assert resolve(RunConfig(), None, swept.settings).constants == (
         "appearance.light.solver._FAR=0.0",

@@ -172,7 +172,7 @@ class BlenderWindow:
 
         Args:
             wanted: How its Python begins: `bpy.ops.robir.reconstruct` for a button, or the end of
-                a property's path, `robir.preset`.
+                a property's path, `robir.texture`.
             is_scrolled: Whether the sidebar may be scrolled until it is seen.
 
         Returns:

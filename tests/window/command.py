@@ -9,7 +9,7 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-# a draft cut to a third of a CPU-minute
+# a run cut to a third of a CPU-minute
 SETTINGS = (
     "geometry.level_cells=[48, 80]",
     "geometry.level_steps=[100, 150]",
@@ -65,5 +65,5 @@ def blender(home: Path, *words: str | Path) -> subprocess.CompletedProcess[str]:
 def reconstruct(home: Path, capture: Path, out: Path) -> Finished:
     """Make the small result, pictures included."""
     changes = [word for setting in SETTINGS for word in ("--set", setting)]
-    words = ["--engine", sys.executable, "--preset", "draft", *changes]
+    words = ["--engine", sys.executable, *changes]
     return Finished(blender(home, "robir", capture, "-o", out, *words), out)

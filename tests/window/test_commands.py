@@ -11,7 +11,7 @@ from window.command import blender
 
 def test_a_reconstruction_from_photographs_to_a_relit_picture(home, finished):
     done, out = finished.done, finished.out
-    # so small a draft may well fail its own quality check, and is whole all the same
+    # so small a run may well fail its own quality check, and is whole all the same
     status = json.loads((out / "status.json").read_text(encoding="utf-8"))
     assert (status["state"], status["exit_code"]) == ("done", done.returncode), done.stderr
     assert done.returncode in (0, 5)

@@ -27,10 +27,10 @@ def test_a_capture_is_chosen_and_looked_at(window: BlenderWindow) -> None:
     assert Path(window.get(f"{SETTINGS}.capture")).name == "avocado"
 
 
-def test_preset_and_device_are_chosen(window: BlenderWindow) -> None:
-    window.search("preset standard")
+def test_texture_and_device_are_chosen(window: BlenderWindow) -> None:
+    window.search("texture 4k")
     window.search("device processor")
-    assert window.get(f"[{SETTINGS}.preset, {SETTINGS}.device]") == ["standard", "cpu"]
+    assert window.get(f"[{SETTINGS}.texture, {SETTINGS}.device]") == ["4K", "cpu"]
 
 
 def test_a_reconstruction_is_started_and_stopped(window: BlenderWindow) -> None:

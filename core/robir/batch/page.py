@@ -22,7 +22,7 @@ _REPORT = {
         "is_trusted": bool, "doubts": [str],
         "verdict?": {"word": str, "reason": str, "remedy": str},
     },
-    "capture": {"train_views": int}, "seconds": {...: {"cpu": float}}, "preset": str,
+    "capture": {"train_views": int}, "seconds": {...: {"cpu": float}},
 }  # fmt: skip
 _ORDER = ("failed", "doubtful", "running", "waiting", "dropped", "done")
 
@@ -35,7 +35,7 @@ class SheetRow:
     state: str  # as of `Standing`, or "doubtful"
     word: str = ""  # what is said of it: the result's verdict, else its state
     sentences: tuple[str, ...] = ()  # why it failed, or the verdict's reason and remedy
-    facts: Mapping[str, Any] = field(default_factory=dict)  # psnr (dB), views, seconds, preset
+    facts: Mapping[str, Any] = field(default_factory=dict)  # psnr (dB), views, seconds
     tags: tuple[str, ...] = ()  # of its asset
     report: str = ""  # its own report from the library's folder; empty without one
     picture: str = ""  # its pictures, likewise
@@ -68,7 +68,6 @@ def row_of(
             "psnr": report["held_out"]["psnr"],
             "views": report["capture"]["train_views"],
             "seconds": sum(stage["cpu"] for stage in report["seconds"].values()),
-            "preset": report["preset"],
         },
         tags=entry.tags,
         report=_from(job.report, paths),

@@ -26,7 +26,6 @@ from robir.jobs.library import Format, LibraryPaths
 from robir.jobs.names import UnsafeNameError, checked_name, file_in
 from robir.jobs.paths import read_json, write_json
 from robir.pipeline.ledger import is_capture_file
-from robir.presets import PRESETS
 from robir.settings import checked_table, read_toml, settings_from_table, table_from_settings
 
 _WILD = re.compile(r"[*?[]")
@@ -142,7 +141,6 @@ class Entry:
     # folder of captures
     path: str
     name: str = ""  # of its result folder; empty for that of the capture
-    preset: Literal["draft", "standard"] = "draft"  # what it may cost
     settings: tuple[str, ...] = ()  # items as of `--set`
     masks: str = ""  # folder of masks, as `path`; empty for the capture's own
     memory: str = ""  # what it needs, such as "3G"; empty to estimate it
@@ -158,7 +156,7 @@ class Entry:
 
     def config(self) -> RunConfig:
         """The resolved settings, or a `ConfigError`."""
-        return _resolved(self.preset, self.settings)
+        return _resolved(self.settings)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -190,7 +188,6 @@ class Plan:
         return Request(
             capture=self.captures / entry.path,
             out=paths.result(entry.name).root.absolute(),
-            preset=entry.preset,
             device=self.options.device,
             masks=self.captures / entry.masks if entry.masks else None,
             settings=entry.settings,
@@ -357,5 +354,5 @@ def _from(root: Path, entry: Entry) -> Entry:
 
 
 @functools.cache
-def _resolved(preset: str, settings: tuple[str, ...]) -> RunConfig:
-    return resolve(PRESETS[preset](), None, settings)
+def _resolved(settings: tuple[str, ...]) -> RunConfig:
+    return resolve(RunConfig(), None, settings)

@@ -83,10 +83,7 @@ def _make(root: Path) -> None:
 
 def _plan(options: Namespace, paths: LibraryPaths) -> Plan:
     if options.sources:
-        changes: dict[str, Any] = {"settings": options.assignments}
-        if options.preset:
-            changes["preset"] = options.preset
-        plan = read_plan(options.sources, changes, paths)
+        plan = read_plan(options.sources, {"settings": options.assignments}, paths)
     elif options.resume or options.page:
         plan = kept_plan(paths, options.captures)
     else:

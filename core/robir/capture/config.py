@@ -11,7 +11,7 @@ from robir.errors import ConfigError
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CaptureConfig:
-    """How photographs are taken in; the defaults are the preset draft.
+    """How photographs are taken in.
 
     Attributes:
         max_side: Longer side, in pixels, of what is kept of a photograph about the object, at

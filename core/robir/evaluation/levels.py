@@ -198,7 +198,7 @@ def _warped(
 
 
 def _on_hull(photographs: Sequence[View], views: Sequence[View]) -> Pictures:
-    """The nearest photographs on the visual hull of the settings `draft` by view, or none."""
+    """The nearest photographs on the visual hull of the default settings by view, or none."""
     config = GeometryConfig()
     photos = [reduce_view(view, config.image_side) for view in photographs]
     try:

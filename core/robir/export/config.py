@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Settings of the export stage; the defaults are those of the preset `draft`."""
+"""Settings of the export stage."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Settings of the geometry stage; the defaults are those of the preset `draft`."""
+"""Settings of the geometry stage."""
 
 from __future__ import annotations
 

@@ -50,7 +50,6 @@ class Request:
 
     capture: Path  # folder or file of the capture
     out: Path  # result folder; an unfinished one is continued
-    preset: str = "draft"  # how much work to do
     device: str = "auto"  # "auto", "cpu" or "cuda"
     masks: Path | None = None  # folder of masks, or None for the capture's own
     box: tuple[float, ...] = ()  # where the object is, as `capture.box`; empty to look for it
@@ -64,14 +63,15 @@ class Request:
     def words(self) -> list[str]:
         """The command line without the program."""
         masks = [] if self.masks is None else ["--masks", str(self.masks)]
-        choices = ["--preset", self.preset, "--device", self.device]
+        choices = ["--device", self.device]
         choices += [] if self.mesh is None else ["--mesh", str(self.mesh)]
         asset = [] if self.asset is None else ["--asset", str(self.asset)]
         until = ["--until", self.until] if self.until else []
         return [
             "reconstruct", str(self.capture), "-o", str(self.out), *choices, *masks, *asset, *until,
             *self.choice_words(), *(word for item in self.settings for word in ("--set", item)),
-            "--resume", "--progress", "json",
+            # the request says it all: what is in the folder may be of another one, or a stranger's
+            "--resume", "--defaults", "--progress", "json",
         ]  # fmt: skip
 
     def choice_words(self) -> list[str]:

@@ -55,9 +55,9 @@ def translated(error: BaseException, stage: str, out: Path | None) -> BaseExcept
             f"{disk.strerror}; make room or mend the folder, then continue with --resume"
         )
     if _is_out_of_memory(error):
+        cure = _MEMORY_CURES.get(stage, _MEMORY_CURES["capture"])
         return DeviceError(
-            f"out of memory in {stage}: lower {_MEMORY_CURES.get(stage, 'the preset')} with --set, "
-            "then continue with --resume"
+            f"out of memory in {stage}: lower {cure} with --set, then continue with --resume"
         )
     if isinstance(error, ImportError):
         return DeviceError(

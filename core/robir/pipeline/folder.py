@@ -20,7 +20,7 @@ from robir.pipeline.device import Execution
 from robir.settings import changed_settings, read_toml, settings_from_table, table_from_settings
 
 _RUN = {
-    "state": str, "preset": str,
+    "state": str,
     "capture": {
         "name": str, "place": str, "masks": (None, str), "fingerprint": str,
         "mesh?": (None, {"name": str, "fingerprint": str}),
@@ -47,14 +47,12 @@ def read_config(paths: JobPaths) -> RunConfig:
     return settings_from_table(RunConfig, read_toml(paths.config), str(paths.config))
 
 
-def new_run(
-    *, capture: dict[str, Any], preset: str, config: RunConfig, execution: Execution
-) -> dict[str, Any]:
+def new_run(*, capture: dict[str, Any], config: RunConfig, execution: Execution) -> dict[str, Any]:
     """Contents of `run.json` before the first stage; `capture` is that of `capture_facts`."""
     system = f"{platform.system()} {platform.machine()}"
     made = {"robir_version": __version__, "python": platform.python_version(), "platform": system}
     made |= {"torch": version("torch"), "device": execution.device, "threads": execution.threads}
-    made |= {"preset": preset, "seed": config.seed, "state": "running", "capture": capture}
+    made |= {"seed": config.seed, "state": "running", "capture": capture}
     return made | {"seconds": {}, "peak_memory_bytes": {}, "warnings": []}
 
 

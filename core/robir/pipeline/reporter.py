@@ -14,7 +14,7 @@ from robir.jobs.status import Kind, State, StatusWriter
 
 _log = logging.getLogger(__name__)
 
-# typical share of each stage in the time of a draft on two cores; only for the time left
+# typical share of each stage in the time of a run on two cores; only for the time left
 _SHARES = {"capture": 0.01, "geometry": 0.55, "transport": 0.02, "appearance": 0.28, "export": 0.14}
 _STATUS_PERIOD = 0.5
 _EVENT_PERIOD = 2.0

@@ -48,7 +48,6 @@ class RunRequest:
     source: Path  # capture
     masks: Path | None  # folder of masks, or None
     out: Path  # result folder
-    preset: str  # name of the preset the configuration came from
     config: RunConfig  # resolved configuration
     execution: Execution  # device and threads
     is_resume: bool  # whether an unfinished or outdated folder may be worked on
@@ -156,7 +155,6 @@ class _Run:
         self._reporter = reporter
         self._facts = folder.new_run(
             capture=folder.capture_facts(request.source, request.masks, request.mesh, inputs),
-            preset=request.preset,
             config=request.config,
             execution=request.execution,
         )

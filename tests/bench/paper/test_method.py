@@ -11,9 +11,8 @@ import pytest
 from evaluation import sphere_run
 
 from robir import cli
-from robir.config import resolve
+from robir.config import RunConfig, resolve
 from robir.jobs.paths import JobPaths, read_json, write_json
-from robir.presets import PRESETS
 from robir_bench.paper.config import (
     NeusConfig,
     NormalsConfig,
@@ -69,7 +68,7 @@ def test_a_sphere_goes_through_all_stages_and_the_evaluation(tmp_path, truth):
     shutil.copytree(whole.stage("capture"), paths.stage("capture"))
     write_json(paths.run, {"seconds": {"capture": {"cpu": 1.0}}, "peak_memory_bytes": {}})
     changes = ["appearance.texture_size=64", "geometry.face_budget=800"]
-    config = resolve(PRESETS["draft"](), None, changes)
+    config = resolve(RunConfig(), None, changes)
     held_out = reconstruct_published(paths, config, "paper", tiny())
     assert held_out["views"] == 3
     assert held_out["psnr"] > 10.0

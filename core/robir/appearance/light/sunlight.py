@@ -58,7 +58,7 @@ EDGE_SHARPNESS = 250.0
 # share of that lobe that may be missing, or seen, of what counts as whole or nil
 _EDGE_SHARE = 0.03
 # cosine to a sun, of either sign, below which an error of the normals gives or takes that sun: 12
-# degrees; those of a draft are 7 to 10 off on average
+# degrees; normals are 7 to 10 off on average
 _GRAZING_COSINE = 0.2
 _FACING_COSINE = 0.15  # cosine to a sun from which a sample is compared across its shadow
 

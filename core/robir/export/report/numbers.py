@@ -93,7 +93,6 @@ def report_numbers(paths: JobPaths, products: Products, own: dict[str, Picture])
             "image_size": [capture.views[0].camera.width, capture.views[0].camera.height],
         },
         "device": run["device"],
-        "preset": run["preset"],
         "seed": run["seed"],
         "trust": quality(capture, products.mesh, products.arrays, held_out["psnr"], left_open),
         "held_out": held_out,
