@@ -29,7 +29,7 @@ from robir.geometry.refine.correlation import (
     seen_by,
 )
 from robir.geometry.refine.step import ThinPlate, refine
-from robir.geometry.selection import STEREO, Selection, bending, refined
+from robir.geometry.selection import STEREO, Selection, bending, keeps_relief, refined
 from robir.geometry.stereo.fusion import stereo_surface
 from robir.geometry.stereo.sweep import StereoPicture
 from robir.steps import Pipeline
@@ -148,14 +148,33 @@ def test_the_thin_plate_is_that_of_a_dense_solve():
 def test_dents_are_taken_out_where_photographs_tell(capture):
     dented = sphere(dents=0.03)
     before = roughness(dented)
-    after = roughness(refine(dented, capture.train, (SIDE,)))
+    after = roughness(refine(dented, capture.train, (SIDE,), keeps_relief))
     assert before > 0.01
     assert after < 0.4 * before
 
 
 def test_without_texture_a_mesh_is_not_made_rougher():
     capture = capture_of(ball(RADIUS, (0, 0, 0)), views=16, side=SIDE, paint=plain)
-    assert roughness(refine(sphere(), capture.train, (SIDE,))) < 0.012
+    assert roughness(refine(sphere(), capture.train, (SIDE,), keeps_relief)) < 0.012
+
+
+def test_relief_stays_where_photographs_show_it():
+    """A ball with bumps, as it is: bending them away shows photographs something else."""
+    bumpy = sphere(dents=0.06)
+    solid = trimesh.Trimesh(bumpy.vertices, bumpy.faces, process=False)
+    capture = capture_of(solid, views=24, side=SIDE, paint=grain)
+
+    def lost(is_better):
+        moved = refine(bumpy, capture.train, (SIDE,), is_better)
+        tracer = EmbreeTracer(bumpy.vertices, bumpy.faces)
+        upper = moved.vertices[moved.vertices[:, 2] > 0.25]
+        away = upper / np.linalg.norm(upper, axis=1, keepdims=True)
+        hits = tracer.first_hits((2 * away).astype(np.float32), -away.astype(np.float32))
+        off = 2 - hits.distance - np.linalg.norm(upper, axis=1)
+        return float(np.sqrt(np.nanmean(off**2)))
+
+    asked, smoothest = lost(keeps_relief), lost(lambda *_: False)
+    assert asked < 0.7 * smoothest
 
 
 def test_photographs_predict_each_other_better_over_the_better_surface(photos):

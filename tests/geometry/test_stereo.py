@@ -12,11 +12,12 @@ import torch
 from geometry.scenes import ball, camera_at, capture_of
 
 from robir.geometry.hull import carve, hull_of, mask_distance
-from robir.geometry.lattice import Lattice
+from robir.geometry.lattice import Lattice, Sampled
 from robir.geometry.mesh.isosurface import extract
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.rays import reduce_view
 from robir.geometry.stereo.fusion import (
+    carved_in_vain,
     choose_sources,
     entry_depth,
     fuse,
@@ -242,3 +243,20 @@ def test_masks_hold_what_mirrors_in_front_of_what_it_shows():
 
     assert missed(stereo_surface(photos, hull)) > 0.1
     assert missed(stereo_surface(photos, hull, holds_masks=True)) < 0.01
+
+
+def test_a_rim_that_lacks_is_not_filled_along_whole_rays(sphere):
+    """A cap of a ball is missing: of a low one only what is near comes back, of a high one all."""
+    lattice, outer = hull_of_radius(0.75)
+    radius, up = lattice.nodes().norm(dim=1), lattice.nodes()[:, 0]
+
+    def farthest(height):
+        """Largest distance from the surface of what is taken back, unit frame."""
+        values = torch.maximum(radius - RADIUS, up - height)
+        marked = carved_in_vain(Sampled(lattice, values), sphere, outer)
+        assert marked.any()
+        return float(values[marked].max())
+
+    # two nodes about a marked one are marked as well, along each axis: up to 3.5 cells
+    assert farthest(0.52) < 5.0 * lattice.cell
+    assert farthest(0.3) > 5.0 * lattice.cell

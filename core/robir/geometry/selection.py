@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from robir.capture.capture import View
+from robir.capture.images.loading import size_within
 from robir.geometry.config import GeometryConfig
 from robir.geometry.lattice import Sampled
 from robir.geometry.mesh.isosurface import extract, largest_pieces, taubin
@@ -36,6 +37,9 @@ STEREO, HULL, FIELD = "by depth maps", "by masks alone", "by a fit of field and 
 # standard errors by which a surface must lead that bends e times as much: a fit full of pits
 # bends 2 to 3.4 times as much as depth maps
 _BENT = 5.0
+# lead, bending counted, from which a refined surface keeps its relief: the house has 5.0, plain
+# things -6.2 to 1.4, and their normals are better without
+_RELIEF = 2.0
 # rounds of Taubin smoothing that take the steps of the cells out of an extracted surface
 _SMOOTH_ROUNDS = 5
 _GRAIN = 1.5  # width of what may be noise of the refined surface (pixels)
@@ -125,9 +129,7 @@ class Selection:
 
     def is_better(self, surface: Sampled, other: Sampled) -> bool:
         """Whether photographs predict each other better over a surface, what it bends counted."""
-        mesh, than = smooth_surface(surface), smooth_surface(other)
-        ahead = lead(self.predictions.errors(than), self.predictions.errors(mesh))
-        return weighed(ahead, bending(than) / bending(mesh)) > 0
+        return lead_over(smooth_surface(other), smooth_surface(surface), self.predictions) > 0
 
     def has_better(self, field: Sampled) -> bool:
         """Whether depth maps or hull are better than a fit; only the first level is compared."""
@@ -163,21 +165,32 @@ def refined(best: SurfaceCandidate, views: tuple[View, ...], config: GeometryCon
     """A surface moved to where patches agree, if photographs and its bending speak for that."""
     mesh = best.mesh
     photos = side_by_side(lambda view: reduce_view(view, max(config.refine_sides)), views)
-    moved = refine(mesh, views, config.refine_sides)
+    moved = refine(mesh, views, config.refine_sides, keeps_relief)
     # at the size that it was refined by: half of it does not show what it gained
-    predictions = Predictions(photos)
-    ahead = lead(predictions.errors(mesh), predictions.errors(moved))
-    if weighed(ahead, bending(mesh) / bending(moved)) > 0:
+    if lead_over(mesh, moved, Predictions(photos)) > 0:
         mesh = moved
-    grain, faces = resolved(photos, config)
-    return Dense(mesh, min(best.cell, grain), faces)
-
-
-def resolved(photos: list[ReducedPhoto], config: GeometryConfig) -> tuple[float, int]:
-    """What photographs resolve: the width of what may be noise, and the faces they deserve."""
     pixels = float(np.median([photo.coverage.sum() for photo in photos]))
-    grain = _GRAIN * pixel_size([photo.camera for photo in photos])
-    return grain, int(min(max(config.face_budget, pixels / _FACE_PIXELS), _FACE_BUDGET))
+    faces = int(min(max(config.face_budget, pixels / _FACE_PIXELS), _FACE_BUDGET))
+    return Dense(mesh, min(best.cell, grain(views, config)), faces)
+
+
+def lead_over(other: Mesh, mesh: Mesh, predictions: Predictions) -> float:
+    """By how many standard errors a mesh leads another, what it bends counted."""
+    ahead = lead(predictions.errors(other), predictions.errors(mesh))
+    return weighed(ahead, bending(other) / bending(mesh))
+
+
+def keeps_relief(smooth: Mesh, rough: Mesh, photos: list[ReducedPhoto]) -> bool:
+    """Whether photographs ask for the relief of a rough surface, what it bends more counted."""
+    return lead_over(smooth, rough, Predictions(photos)) > _RELIEF
+
+
+def grain(views: tuple[View, ...], config: GeometryConfig) -> float:
+    """Width of what may be noise of a surface, unit frame: photographs resolve what is wider."""
+    most = max(config.refine_sides)
+    sizes = [size_within((view.camera.width, view.camera.height), most) for view in views]
+    cameras = [view.camera.resized(*size) for view, size in zip(views, sizes, strict=True)]
+    return _GRAIN * pixel_size(cameras)
 
 
 def smooth_surface(surface: Sampled) -> Mesh:

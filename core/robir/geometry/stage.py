@@ -30,12 +30,12 @@ from robir.geometry.pipeline import (
     post_processed,
 )
 from robir.geometry.remask import remasked
-from robir.geometry.selection import FIELD, Dense, refined, smooth_surface
+from robir.geometry.selection import FIELD, Dense, grain, refined, smooth_surface
 from robir.jobs.context import Choice, Reporter, StageContext
 from robir.jobs.paths import of_tile, replacing, write_json
 from robir.steps import Pipeline, Step, check_left_out
 
-REVISION = 48  # raised whenever the same input gives another result
+REVISION = 49  # raised whenever the same input gives another result
 
 MASKING = 0.02  # share of the stage that cutting masks again takes
 
@@ -161,7 +161,7 @@ def reconstruct(
     else:
         reporter.progress(0.86, "cleaning the mesh")
         surface = smooth_surface(Sampled(field.lattice, field.sdf))
-        dense = Dense(surface, cell, config.face_budget)
+        dense = Dense(surface, min(cell, grain(capture.train, config)), config.face_budget)
     predictions = levels.selection.predictions
     mesh = post_processed(dense, config, reporter.warn, pipeline, predictions)
     backdrop = levels.backdrop if best is None else None

@@ -45,6 +45,9 @@ Mask = NDArray[np.bool_]
 BLOCK = 1 << 21  # texels that are worked on at a time; each takes some hundred bytes
 
 _BEST_VIEWS = 4  # whose detail is blended at a texel
+# best at a corner of a triangle that its texels are looked up in: more than are blended, for the
+# order differs from spot to spot
+_CANDIDATES = 6
 _STEEPNESS = 4.0  # power of a view's pixels on a unit of surface by which it counts against others
 _DEPTH_SIDE = 400  # longer side of the pictures by which is told what hides a texel (pixels)
 # difference of depth, unit frame, up to which a texel is the surface that a pixel sees
@@ -90,30 +93,49 @@ def finer(
         _Lens(view, tracer, curve, (sizes, float(factor)))
         for view, factor in zip(views, sharp, strict=True)
     ]
-    albedo = fine.albedo.copy()
+    albedo, best = fine.albedo.copy(), best_views(mesh, lenses)
     for start in range(0, len(rows), BLOCK):
         part = slice(start, start + BLOCK)
         position, normal = interpolate(mesh, where[0][part], where[1][part].astype(np.float32))
-        detail = detail_of(position, normal, lenses)
+        detail = detail_of(position, normal, lenses, best[where[0][part]])
         detail[fine.metallic[part] > 0.5] = 0.0
         made = albedo[part] * np.exp(detail)
         albedo[part] = made.clip(MIN_ALBEDO, MAX_ALBEDO)
     return held, replace(fine, albedo=albedo)
 
 
-def detail_of(position: Floats, normal: Floats, lenses: Sequence[_Lens]) -> Floats:
+def best_views(mesh: Mesh, lenses: Sequence[_Lens]) -> Mask:
+    """Which photographs (F, V) may be among the best of a triangle's texels.
+
+    Those best at one of its corners; all of them where corners are seen by too few.
+    """
+    if len(lenses) <= _CANDIDATES:
+        return np.ones((len(mesh.faces), len(lenses)), bool)
+    vertices, normals = mesh.vertices.astype(np.float32), mesh.normals.astype(np.float32)
+    weight = np.stack(side_by_side(lambda lens: lens.weights(vertices, normals), lenses), axis=1)
+    least = np.partition(weight, -_CANDIDATES, axis=1)[:, -_CANDIDATES]
+    best = ((weight > 0) & (weight >= least[:, None]))[mesh.faces].any(axis=1)
+    best[best.sum(axis=1) < _BEST_VIEWS] = True
+    return best
+
+
+def detail_of(position: Floats, normal: Floats, lenses: Sequence[_Lens], best: Mask) -> Floats:
     """Log (N, 3) of what the best views show at texels over what they show about them.
 
-    Of positions, unit frame, and unit normals (N, 3); 0 where no view shows the texel well.
+    Of positions, unit frame, unit normals (N, 3), and which photographs are asked (N, V); 0 where
+    no view shows the texel well.
     """
     weight = np.zeros((len(position), _BEST_VIEWS), np.float32)
     detail = np.zeros((len(position), _BEST_VIEWS, 3), np.float32)
     for some in blocks(len(lenses), _TOGETHER):
         least = weight.min(1)
-        read = side_by_side(
-            lambda lens, least=least: lens.read(position, normal, least), lenses[some]
-        )
-        for texel, counts, own in read:
+
+        def read(number: int, least: Floats = least) -> tuple[NDArray[np.int64], Floats, Floats]:
+            asked = np.flatnonzero(best[:, number])
+            texel, counts, own = lenses[number].read(position[asked], normal[asked], least[asked])
+            return asked[texel], counts, own
+
+        for texel, counts, own in side_by_side(read, range(len(lenses))[some]):
             slot = weight[texel].argmin(1)
             better = counts > weight[texel, slot]
             texel, slot = texel[better], slot[better]
@@ -236,8 +258,7 @@ class _Lens:
 
         Of those whose weight is above a least one (N,) only: others cost time and count nothing.
         """
-        texel, place, scale, density = self._shown(position, normal)
-        counts = (density * self._sharpness**2) ** _STEEPNESS
+        texel, place, scale, counts = self._shown(position, normal)
         above = counts > torch.from_numpy(least[texel])
         texel, counts = texel[above.numpy()], counts[above]
         place, scale = place[above], scale[above]
@@ -253,10 +274,17 @@ class _Lens:
         detail = (logs[0] - logs[1]).clamp(-_MOST_DETAIL, _MOST_DETAIL)
         return texel[kept.numpy()], counts[kept].numpy(), detail.numpy()
 
+    def weights(self, position: Floats, normal: Floats) -> Floats:
+        """Weights (N,) of the photograph at points, 0 where it does not show them."""
+        weights = np.zeros(len(position), np.float32)
+        texel, _, _, counts = self._shown(position, normal)
+        weights[texel] = counts.numpy()
+        return weights
+
     def _shown(
         self, position: Floats, normal: Floats
     ) -> tuple[NDArray[np.int64], Tensor, Tensor, Tensor]:
-        """Texels the camera sees: numbers, places, pixels per unit of length, and of area."""
+        """Texels the camera sees: numbers, places, pixels per unit of length, and weights."""
         camera = self._view.camera
         towards = camera.position.astype(np.float32) - position
         cosine = np.einsum("nd,nd->n", towards, normal) / np.linalg.norm(towards, axis=1)
@@ -273,4 +301,5 @@ class _Lens:
         near = (seen[1] > 0.99) & (apart < _DEPTH_TOLERANCE)
         scale = 0.5 * (camera.fx + camera.fy) / depth[near]
         facing = torch.from_numpy(cosine[texel[near.numpy()]])
-        return texel[near.numpy()], place[near], scale, facing * scale**2
+        counts = (facing * (scale * self._sharpness) ** 2) ** _STEEPNESS
+        return texel[near.numpy()], place[near], scale, counts

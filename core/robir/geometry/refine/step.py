@@ -9,6 +9,7 @@ time (quadratic relaxation; Newcombe et al. 2011, "DTAM", eq. 11 to 14).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
@@ -21,7 +22,7 @@ from robir.capture.capture import View
 from robir.geometry.mesh.isosurface import neighbour_mean, plain_mesh, taubin
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
-from robir.geometry.rays import reduce_view
+from robir.geometry.rays import ReducedPhoto, reduce_view
 from robir.geometry.refine.correlation import correlations, outline_shifts, pixel_size, seen_by
 from robir.geometry.stereo.sweep import StereoPicture, refined_minimum
 from robir.workers import side_by_side
@@ -39,7 +40,9 @@ _MOST_ITERATIONS = 80  # of conjugate gradients a round; each begins where the l
 _REACH = 5.0  # largest shift of a vertex, pixels of the first level; weights are for this reach
 _FINE_REACH = 2.0  # the same at the later levels, which start where the one before ended
 _STEP = 0.5  # between the shifts that are tried, pixels
-_SMOOTHNESS = 640.0  # weight of the thin plate's bending against correlation
+# weights of the thin plate's bending against correlation that are tried at the first level: what is
+# plain needs the first, roofs and facades melt by it
+_SMOOTHNESS = (640.0, 40.0)
 _CREASE = 0.3  # bend between neighbouring vertices at which a crease begins, pixels
 _ANCHOR = 0.01  # weight of the mesh as it was, at a shift of the whole reach
 _OUTLINE = 0.2  # weight of the masks' outlines, likewise, each time one runs along a vertex
@@ -56,9 +59,18 @@ class Evidence:
     outline: tuple[Array, Array]  # shifts (Nv,) that outlines ask for and their weights (Nv,)
 
 
-def refine(mesh: Mesh, views: tuple[View, ...], sides: tuple[int, ...]) -> Mesh:
-    """Move a mesh to where photographs agree, finer from size to size of these."""
+def refine(
+    mesh: Mesh,
+    views: tuple[View, ...],
+    sides: tuple[int, ...],
+    is_better: Callable[[Mesh, Mesh, list[ReducedPhoto]], bool],
+) -> Mesh:
+    """Move a mesh to where photographs agree, finer from size to size of these.
+
+    `is_better` says by photographs whether the second of two meshes, which bends more, is to go on.
+    """
     reduced = {s: side_by_side(partial(reduce_view, side=s), views) for s in set(sides)}
+    smoothness = _SMOOTHNESS
     for number, side in enumerate(sides):
         reach = _FINE_REACH if number else _REACH
         photos = reduced[side]
@@ -72,7 +84,13 @@ def refine(mesh: Mesh, views: tuple[View, ...], sides: tuple[int, ...]) -> Mesh:
         agreed = correlations(mesh, pictures, cosine, shifts.astype(np.float32))
         outline = outline_shifts(mesh, tracer, photos, pixel)
         evidence = Evidence(shifts=shifts, cost=1 - agreed, outline=outline)
-        mesh = plain_mesh(best_vertices(mesh, evidence, pixel), mesh.faces)
+        tried = [
+            plain_mesh(best_vertices(mesh, evidence, pixel, s), mesh.faces) for s in smoothness
+        ]
+        if len(tried) > 1:
+            best = int(is_better(*tried, photos))
+            smoothness, tried = smoothness[best : best + 1], tried[best : best + 1]
+        mesh = tried[0]
     return mesh
 
 
@@ -90,8 +108,8 @@ def _subdivided(mesh: Mesh, edge: float, most: int) -> Mesh:
     return mesh
 
 
-def best_vertices(mesh: Mesh, evidence: Evidence, pixel: float) -> Array:
-    """Vertices (Nv, 3) with the least sum of cost and bending."""
+def best_vertices(mesh: Mesh, evidence: Evidence, pixel: float, smoothness: float) -> Array:
+    """Vertices (Nv, 3) with the least sum of cost and bending, of that weight."""
     start, normals = mesh.vertices.astype(np.float64), mesh.normals.astype(np.float64)
     shifts, cost = evidence.shifts, evidence.cost
     reach, step = _REACH * pixel, shifts[1] - shifts[0]
@@ -112,7 +130,7 @@ def best_vertices(mesh: Mesh, evidence: Evidence, pixel: float) -> Array:
             (start, moved),
             (at_best + at_outline, normals, pull),
             _ANCHOR / reach**2,
-            _SMOOTHNESS / reach**2,
+            smoothness / reach**2,
             has_creases=2 * turn >= _ROUNDS,
         )
     return start + moved
