@@ -57,6 +57,81 @@ def medians(score: Score, records: Sequence[Record]) -> dict[str, tuple[float, f
     return found
 
 
+def amounts(records: Sequence[Record]) -> dict[str, list[tuple[float, float, float | None]]]:
+    """Amount, CPU seconds and albedo (dB) by factor, of factors with two amounts or more.
+
+    Amounts are the numbers of a factor's values, sums of lists of numbers, ascending; seconds
+    and albedo are medians over captures, methods and seeds.
+    """
+    runs: dict[str, dict[float, list[Record]]] = {}
+    for record in records:
+        amount = _amount(record["value"])
+        if record["factor"] and amount is not None and value(SECONDS, record) is not None:
+            runs.setdefault(record["factor"], {}).setdefault(amount, []).append(record)
+
+    def middle(score: Score, members: Sequence[Record]) -> float | None:
+        known = [found for found in (value(score, r) for r in members) if found is not None]
+        return median(known) if known else None
+
+    found: dict[str, list[tuple[float, float, float | None]]] = {}
+    for factor, by_amount in runs.items():
+        if len(by_amount) > 1:
+            found[factor] = [
+                (amount, middle(SECONDS, members) or 0.0, middle(ALBEDO, members))
+                for amount, members in sorted(by_amount.items())
+            ]
+    return found
+
+
+def _amount(label: str) -> float | None:
+    """A positive amount that a value states, as of 400 or [64, 96, 128]; None of other words."""
+    try:
+        amount = sum(float(part) for part in label.strip("[]()").split(","))
+    except ValueError:
+        return None
+    return amount if amount > 0 else None
+
+
+def cost_growth(records: Sequence[Record]) -> str:
+    """How seconds grow with amounts, and what albedo they buy, as SVG text; "" without amounts."""
+    found = amounts(records)
+    if not found:
+        return ""
+    with rc_context(SVG_STYLE):
+        figure = Figure(figsize=(12.0, 4.6), layout="constrained")
+        left, right = figure.subplots(1, 2)
+        low = min(rows[0][0] / rows[-1][0] for rows in found.values())
+        left.plot(
+            [low, 1.0], [low, 1.0], "--", color="#20262d", linewidth=1.0, label="in proportion"
+        )
+        for index, (factor, rows) in enumerate(found.items()):
+            style: dict[str, Any] = {
+                "color": _PALETTE[index % len(_PALETTE)],
+                "marker": _MARKERS[index % len(_MARKERS)],
+                "markersize": 5,
+            }
+            most = rows[-1]
+            left.plot(
+                [r[0] / most[0] for r in rows],
+                [r[1] / most[1] for r in rows],
+                label=factor,
+                **style,
+            )
+            known = [(r[1], r[2]) for r in rows if r[2] is not None]
+            right.plot(*_columns(known), **style)
+        left.set_xscale("log")
+        left.set_yscale("log")
+        left.set_xlabel("amount, of the largest")
+        left.set_ylabel("CPU seconds, of those at the largest")
+        right.set_xlabel("CPU seconds")
+        right.set_ylabel(ALBEDO.title)
+        for axes in (left, right):
+            tidy(axes)
+        handles, labels = left.get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=5, frameon=False)
+        return svg(figure)
+
+
 def pareto_front(points: Sequence[tuple[float, float]]) -> list[int]:
     """Indices of the points that no other point beats, cheapest first.
 

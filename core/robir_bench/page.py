@@ -12,7 +12,7 @@ from robir.export.page import page_template
 from robir.export.report.pictures import inline_lossless
 from robir.jobs.paths import replacing, write_json
 from robir_bench.ablation import ablation_chart, ablation_table, worths
-from robir_bench.chart import speed_accuracy
+from robir_bench.chart import cost_growth, speed_accuracy
 from robir_bench.curves import calibration, tone_curves
 from robir_bench.distribution import CONFIDENCE
 from robir_bench.heat import Case, cases, cause, heat_map, heat_table, told, vigilance, worst_cases
@@ -156,6 +156,9 @@ def write_stability(folder: Path, runs: Sequence[BenchRun], records: Mapping[str
     found = cases(tried)
     counts = vigilance(tried)
     done, failed = split(tried)
+    growth = Chart(
+        title="What more of each costs and brings", file="cost.svg", drawing=cost_growth(done)
+    )
     page = Page(
         title="Stability",
         lead=f"{len(tried)} of {len(runs)} runs were tried. Of {counts['wrong']} wrong ones "
@@ -164,6 +167,7 @@ def write_stability(folder: Path, runs: Sequence[BenchRun], records: Mapping[str
         rows=[_case_row(folder, case, runs) for case in worst_cases(found)],
         charts=[
             Chart(title="Albedo lost and shadow ratio", file="chart.svg", drawing=heat_map(found)),
+            *([growth] if growth.drawing else []),
             *_own_charts([record for record in done if record["method"] == OURS]),
         ],
         tables=[

@@ -21,12 +21,14 @@ capture = "captures/truck-noground"
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import product
 from pathlib import Path
 from typing import Any
 
+from robir.config import RunConfig, resolve
 from robir.errors import ConfigError
 from robir.settings import parse_assignment, read_toml, settings_from_table
 from robir_bench.paper.config import VARIANTS
@@ -36,6 +38,8 @@ OURS = "ours"
 PHOTO = "photo"
 MITSUBA = "mitsuba"
 MITSUBA_TOLD = "mitsuba, true curve and sun"
+
+_WORD = re.compile(r"[^\w.]+")  # what no name of a folder should have
 
 # methods that share nothing but capture and geometry, see photo.py and prb.py
 BORROWERS = (PHOTO, MITSUBA, MITSUBA_TOLD)
@@ -99,6 +103,18 @@ class Rendered:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Changed:
+    """A setting that differs, on the capture as it is."""
+
+    source: Path  # the capture
+    factor: str  # dotted name of the setting
+    label: str  # value for people
+
+    def make(self, out: Path, seed: int) -> None:
+        """Nothing: the capture stays as it is."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class BenchRun:
     """One result of a bench."""
 
@@ -106,8 +122,8 @@ class BenchRun:
     method: str  # name in METHODS
     seed: int  # seed
     settings: tuple[str, ...]  # items for `--set`, those of the method last
-    # what sets the capture apart where it is one made worse, else None
-    perturbation: Perturbation | Rendered | None = None
+    # what sets it apart from the run on the capture as it is, None of that run
+    perturbation: Perturbation | Rendered | Changed | None = None
     # whether it is shown under the second light too, where its capture has one
     is_relit: bool = True
     # stage and name of the step that it does without, if any
@@ -118,7 +134,9 @@ class BenchRun:
     def name(self) -> str:
         """Name of the run's folder, unique within a plan whose captures have unique names."""
         method = self.method.replace(",", "").replace(" ", "-")
-        words = (self.capture.name, method, str(self.seed))
+        words = [self.capture.name, method, str(self.seed)]
+        if isinstance(self.perturbation, Changed):
+            words += [self.perturbation.factor, _WORD.sub("-", self.perturbation.label)]
         return "_".join(words)
 
     @property
@@ -147,6 +165,8 @@ def read_plan(path: Path) -> list[BenchRun]:
 
 def read_sweep(path: Path, out: Path) -> list[BenchRun]:
     """All runs of a stability sweep, unperturbed ones first, then factor by factor.
+
+    A factor with a dot in its name is a setting, and its values are those of the setting.
 
     Args:
         path: The plan.
@@ -205,6 +225,11 @@ def _runs(path: Path, table: dict[str, Any]) -> Iterator[BenchRun]:
 
 
 def _spoilt(run: BenchRun, factor: str, value: Any, captures: Path) -> BenchRun:
+    if "." in factor:
+        item = f"{factor}={json.dumps(value)}"
+        resolve(RunConfig(), None, (item,))  # a wrong name or value is told before any run
+        changed = Changed(source=run.capture, factor=factor, label=str(value))
+        return replace(run, settings=_joined((*run.settings, item)), perturbation=changed)
     number = float(value) if type(value) is int else value
     perturbation = Perturbation(source=run.capture, factor=factor, value=number)
     words = (run.capture.name, factor, perturbation.label, f"s{run.seed}")

@@ -68,6 +68,8 @@ def test_wrong_plans_are_refused_in_words(tmp_path, text, words):
         ('captures = ["a"]\n[factors]\nfog = [1]', "'fog' is unknown; known: views"),
         ('captures = ["a"]\n[[rendered]]\nof = "a"\nvalue = "x"', "lacks factor"),
         ('captures = ["a"]\n[factors]\nviews = ["few"]', "'few' is not a number of views"),
+        ('captures = ["a"]\n[factors]\n"geometry.rays" = [1]', "geometry.rays is 1"),
+        ('captures = ["a"]\n[factors]\n"geometry.fog" = [1]', "unknown setting"),
     ],
 )
 def test_wrong_sweeps_are_refused_in_words(tmp_path, text, words):
@@ -137,6 +139,21 @@ def test_a_sweep_says_what_each_factor_costs(tmp_path, robir, capture, capsys):
     assert (out / "captures" / "good_noise_0.1_s0" / "truth" / "mesh.ply").samefile(
         capture / "truth" / "mesh.ply"
     )
+
+
+def test_a_sweep_turns_settings_on_the_capture_as_it_is(tmp_path, robir, capture, capsys):
+    factors = '"geometry.level_steps" = [[2, 2, 1], [4, 4, 2]]\n"geometry.rays" = [64]'
+    plan = write_plan(tmp_path, f'captures = ["{capture}"]\n[factors]\n{factors}')
+    runs = read_sweep(plan, tmp_path / "out")
+    assert len({run.name for run in runs}) == 4
+    assert {run.capture for run in runs} == {capture.resolve()}
+    assert "geometry.level_steps=[4, 4, 2]" in runs[2].settings
+    assert cli.main(["stability", str(plan), "-o", str(tmp_path / "out")]) == 0
+    page = Path(capsys.readouterr().out.strip())
+    assert (
+        "| geometry.level_steps | [2, 2, 1] | 0.0 |" in page.with_name("stability.md").read_text()
+    )
+    assert "geometry.level_steps" in page.with_name("cost.svg").read_text()
 
 
 def test_the_photo_method_through_the_real_evaluation(tmp_path, capture):

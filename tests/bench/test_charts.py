@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from bench.fake_robir import scores
 
-from robir_bench.chart import pareto_front
+from robir_bench.chart import amounts, cost_growth, pareto_front
 from robir_bench.heat import cases, cause, heat_map, heat_table, worst_cases
 
 
@@ -49,6 +49,26 @@ def test_the_front_holds_exactly_what_nothing_beats():
         assert values == set(points) - beaten
         assert len(values) == len(front)
         assert [points[i] for i in front] == sorted(values)
+
+
+def test_costs_grow_with_amounts_and_words_are_no_amounts():
+    records = [record(22.0)]
+    records += [
+        record(20.0 + k, seconds=40.0 * k, factor="views", value=str(10 * k)) for k in (2, 1)
+    ]
+    records += [record(21.0, seconds=50.0 + k, factor="views", value="20") for k in (0, 4)]
+    records += [record(21.0, seconds=9.0, factor="mask", value="dilate 1")]
+    records += [record(21.0, seconds=9.0, factor="jpeg", value="70")]  # one amount shows no growth
+    steps = [("[280, 220]", 90.0), ("[140, 110]", 60.0)]
+    records += [record(21.0, "ours", s, "geometry.level_steps", v) for v, s in steps]
+    assert amounts(records) == {
+        "views": [(10.0, 40.0, 21.0), (20.0, 54.0, 21.0)],
+        "geometry.level_steps": [(250.0, 60.0, 21.0), (500.0, 90.0, 21.0)],
+    }
+    words = "".join(ET.fromstring(cost_growth(records)).itertext())
+    for word in ("views", "geometry.level_steps", "in proportion"):
+        assert word in words
+    assert cost_growth(records[:1]) == ""
 
 
 def test_losses_are_against_the_same_capture_method_and_seed():

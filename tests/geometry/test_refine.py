@@ -29,7 +29,7 @@ from robir.geometry.refine.correlation import (
     seen_by,
 )
 from robir.geometry.refine.step import ThinPlate, refine
-from robir.geometry.selection import STEREO, Selection, bending, keeps_relief, refined
+from robir.geometry.selection import STEREO, Selection, bending, keeps_relief
 from robir.geometry.stereo.fusion import stereo_surface
 from robir.geometry.stereo.sweep import StereoPicture
 from robir.steps import Pipeline
@@ -215,7 +215,7 @@ def test_the_rivals_take_the_place_of_a_worse_field_alone(capture, photos, monke
         assert not rival.has_better(field), "only the first level is compared"
         assert (rival.best is not None) == wins
     assert rival.best.name == STEREO
-    mesh = post_processed(refined(rival.best, capture.train, CONFIG), CONFIG, print, Pipeline())
+    mesh = post_processed(rival.best.dense, CONFIG, print, Pipeline())
     assert 1000 < len(mesh.faces) <= 24000
     assert roughness(mesh) < 0.02
     off = replace(CONFIG, stereo_side=0)

@@ -30,7 +30,7 @@ from robir.geometry.pipeline import (
     post_processed,
 )
 from robir.geometry.remask import remasked
-from robir.geometry.selection import FIELD, Dense, grain, refined, smooth_surface
+from robir.geometry.selection import FIELD, Dense, grain, smooth_surface
 from robir.jobs.context import Choice, Reporter, StageContext
 from robir.jobs.paths import of_tile, replacing, write_json
 from robir.steps import Pipeline, Step, check_left_out
@@ -155,11 +155,10 @@ def reconstruct(
         field = fit(levels.sampler, start, config, generator, progress, levels)
     cell = field.lattice.cell
     best = levels.selection.best
+    reporter.progress(0.86, "cleaning the mesh")
     if best is not None:
-        reporter.progress(0.86, "moving the mesh to where photographs agree")
-        dense = refined(best, capture.train, config)
+        dense = best.dense
     else:
-        reporter.progress(0.86, "cleaning the mesh")
         surface = smooth_surface(Sampled(field.lattice, field.sdf))
         dense = Dense(surface, min(cell, grain(capture.train, config)), config.face_budget)
     predictions = levels.selection.predictions
