@@ -44,6 +44,8 @@ _RELIEF = 2.0
 _SMOOTH_ROUNDS = 5
 # by how much a surface may lie behind the fit and yet overtake it: refinement brings 1.7 to 8.2
 _WITHIN_REACH = 6.0
+# lead from which it does: scissors that the fit has better come to 0.4, what is better 2.8 and more
+_OVERTAKES = 2.0
 _GRAIN = 1.5  # width of what may be noise of the refined surface (pixels)
 # pixels of a photograph a face: two faces a vertex, and a vertex every other row and column
 _FACE_PIXELS = 2.0
@@ -155,7 +157,7 @@ class Selection:
             place = candidates.index(first)
             first = candidate(first.name, refined(first.dense, self._views, self._config))
             candidates[place] = first
-        self.best = first if first.lead > 0 else None
+        self.best = first if first.lead > _OVERTAKES else None
         chosen = FIELD if self.best is None else first.name
         self.choices = (
             Choice(
