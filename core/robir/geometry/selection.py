@@ -37,9 +37,9 @@ STEREO, HULL, FIELD = "by depth maps", "by masks alone", "by a fit of field and 
 # standard errors by which a surface must lead that bends e times as much: a fit full of pits
 # bends 2 to 3.4 times as much as depth maps
 _BENT = 5.0
-# lead, bending counted, from which a refined surface keeps its relief: the house has 5.0, plain
-# things -6.2 to 1.4, and their normals are better without
-_RELIEF = 2.0
+# lead, bending counted, from which a refined surface keeps its relief: the house has 5.0, round and
+# plain things -6.2 to 2.0, and are better without
+_RELIEF = 3.0
 # rounds of Taubin smoothing that take the steps of the cells out of an extracted surface
 _SMOOTH_ROUNDS = 5
 # by how much a surface may lie behind the fit and yet overtake it: refinement brings 1.7 to 8.2
