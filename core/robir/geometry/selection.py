@@ -6,7 +6,8 @@ exposures, masks that are a pixel off, and on plain parts whatever noise there i
 mesh moved to where patches agree know nothing of colours, and the visual hull knows of outlines
 alone. On renderings, whose masks and poses are exact, the fit is mostly the better one; a lone
 convex thing without texture is its hull. So photographs predict each other over each of them, see
-prediction.py, and what one bends more than another speaks against it.
+prediction.py, and what one bends more than another speaks against it. The better of depth maps and
+hull is compared as refined: before, it is what a mesh of cells is, and the fit is smooth.
 """
 
 from __future__ import annotations
