@@ -121,6 +121,9 @@ def cost_growth(records: Sequence[Record]) -> str:
             right.plot(*_columns(known), **style)
         left.set_xscale("log")
         left.set_yscale("log")
+        for axis in (left.xaxis, left.yaxis):
+            axis.set_major_formatter(StrMethodFormatter("{x:.2g}"))
+            axis.set_minor_formatter(StrMethodFormatter("{x:.2g}"))
         left.set_xlabel("amount, of the largest")
         left.set_ylabel("CPU seconds, of those at the largest")
         right.set_xlabel("CPU seconds")
