@@ -63,24 +63,23 @@ def amounts(records: Sequence[Record]) -> dict[str, list[tuple[float, float, flo
     Amounts are the numbers of a factor's values, sums of lists of numbers, ascending; seconds
     and albedo are medians over captures, methods and seeds.
     """
-    runs: dict[str, dict[float, list[Record]]] = {}
+    runs: dict[str, dict[float, list[tuple[float, float | None]]]] = {}
     for record in records:
-        amount = _amount(record["value"])
-        if record["factor"] and amount is not None and value(SECONDS, record) is not None:
-            runs.setdefault(record["factor"], {}).setdefault(amount, []).append(record)
+        amount, seconds = _amount(record["value"]), value(SECONDS, record)
+        if record["factor"] and amount is not None and seconds is not None:
+            by_amount = runs.setdefault(record["factor"], {})
+            by_amount.setdefault(amount, []).append((seconds, value(ALBEDO, record)))
+    return {
+        factor: [(amount, *_middle(by_amount[amount])) for amount in sorted(by_amount)]
+        for factor, by_amount in runs.items()
+        if len(by_amount) > 1
+    }
 
-    def middle(score: Score, members: Sequence[Record]) -> float | None:
-        known = [found for found in (value(score, r) for r in members) if found is not None]
-        return median(known) if known else None
 
-    found: dict[str, list[tuple[float, float, float | None]]] = {}
-    for factor, by_amount in runs.items():
-        if len(by_amount) > 1:
-            found[factor] = [
-                (amount, middle(SECONDS, members) or 0.0, middle(ALBEDO, members))
-                for amount, members in sorted(by_amount.items())
-            ]
-    return found
+def _middle(members: Sequence[tuple[float, float | None]]) -> tuple[float, float | None]:
+    """Median seconds, and median albedo of those that have any."""
+    albedos = [albedo for _, albedo in members if albedo is not None]
+    return median(seconds for seconds, _ in members), median(albedos) if albedos else None
 
 
 def _amount(label: str) -> float | None:

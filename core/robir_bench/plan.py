@@ -91,8 +91,8 @@ class RenderedEntry:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Rendered:
-    """A value of a factor that needed a render of its own."""
+class Ready:
+    """A value of a factor that spoils no capture: one with a render of its own, or a setting."""
 
     source: Path  # capture it is compared with
     factor: str  # name for people
@@ -100,18 +100,6 @@ class Rendered:
 
     def make(self, out: Path, seed: int) -> None:
         """Nothing: the capture is there, or the run says that it is not."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Changed:
-    """A setting that differs, on the capture as it is."""
-
-    source: Path  # the capture
-    factor: str  # dotted name of the setting
-    label: str  # value for people
-
-    def make(self, out: Path, seed: int) -> None:
-        """Nothing: the capture stays as it is."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -123,7 +111,7 @@ class BenchRun:
     seed: int  # seed
     settings: tuple[str, ...]  # items for `--set`, those of the method last
     # what sets it apart from the run on the capture as it is, None of that run
-    perturbation: Perturbation | Rendered | Changed | None = None
+    perturbation: Perturbation | Ready | None = None
     # whether it is shown under the second light too, where its capture has one
     is_relit: bool = True
     # stage and name of the step that it does without, if any
@@ -133,9 +121,8 @@ class BenchRun:
     @property
     def name(self) -> str:
         """Name of the run's folder, unique within a plan whose captures have unique names."""
-        method = self.method.replace(",", "").replace(" ", "-")
-        words = [self.capture.name, method, str(self.seed)]
-        if isinstance(self.perturbation, Changed):
+        words = [self.capture.name, _WORD.sub("-", self.method), str(self.seed)]
+        if self.perturbation is not None and self.perturbation.source == self.capture:
             words += [self.perturbation.factor, _WORD.sub("-", self.perturbation.label)]
         return "_".join(words)
 
@@ -228,7 +215,7 @@ def _spoilt(run: BenchRun, factor: str, value: Any, captures: Path) -> BenchRun:
     if "." in factor:
         item = f"{factor}={json.dumps(value)}"
         resolve(RunConfig(), None, (item,))  # a wrong name or value is told before any run
-        changed = Changed(source=run.capture, factor=factor, label=str(value))
+        changed = Ready(source=run.capture, factor=factor, label=str(value))
         return replace(run, settings=_joined((*run.settings, item)), perturbation=changed)
     number = float(value) if type(value) is int else value
     perturbation = Perturbation(source=run.capture, factor=factor, value=number)
@@ -249,6 +236,6 @@ def _rendered(path: Path, entry: RenderedEntry, whole: list[BenchRun]) -> list[B
     runs = [run for run in whole if run.capture == source]
     if not runs:
         raise ConfigError(f"{path}: rendered: {entry.of!r} is none of the captures; list it there")
-    mark = Rendered(source=source, factor=entry.factor, label=entry.value)
+    mark = Ready(source=source, factor=entry.factor, label=entry.value)
     capture = (path.parent / entry.capture).resolve()
     return [replace(run, capture=capture, perturbation=mark) for run in runs]

@@ -149,15 +149,16 @@ class Selection:
             return SurfaceCandidate(name, dense, ahead, bends / bending(dense.mesh))
 
         surfaces = {STEREO: self._stereo(), HULL: self._hulls[1]}
-        candidates = [
-            candidate(name, Dense(smooth_surface(one), one.lattice.cell, self._config.face_budget))
+        candidates = {
+            name: candidate(
+                name, Dense(smooth_surface(one), one.lattice.cell, self._config.face_budget)
+            )
             for name, one in surfaces.items()
-        ]
-        first = max(candidates, key=lambda candidate: candidate.lead)
+        }
+        first = max(candidates.values(), key=lambda candidate: candidate.lead)
         if first.lead > -_WITHIN_REACH:
-            place = candidates.index(first)
             first = candidate(first.name, refined(first.dense, self._views, self._config))
-            candidates[place] = first
+            candidates[first.name] = first
         self.best = first if first.lead > _OVERTAKES else None
         chosen = FIELD if self.best is None else first.name
         self.choices = (
@@ -165,7 +166,7 @@ class Selection:
                 choice="surface",
                 chosen=chosen,
                 alternatives=tuple(name for name in (FIELD, STEREO, HULL) if name != chosen),
-                why="; ".join(candidate.words for candidate in candidates)
+                why="; ".join(candidate.words for candidate in candidates.values())
                 + "; the fit's first level was compared, and the first of the others as refined",
                 cost_seconds=time.process_time() - started,
             ),

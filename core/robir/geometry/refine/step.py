@@ -70,7 +70,7 @@ def refine(
     `is_better` says by photographs whether the second of two meshes, which bends more, is to go on.
     """
     reduced = {s: side_by_side(partial(reduce_view, side=s), views) for s in set(sides)}
-    smoothness = _SMOOTHNESS
+    smoothness: tuple[float, ...] = _SMOOTHNESS
     for number, side in enumerate(sides):
         reach = _FINE_REACH if number else _REACH
         photos = reduced[side]
@@ -87,10 +87,8 @@ def refine(
         tried = [
             plain_mesh(best_vertices(mesh, evidence, pixel, s), mesh.faces) for s in smoothness
         ]
-        if len(tried) > 1:
-            best = int(is_better(*tried, photos))
-            smoothness, tried = smoothness[best : best + 1], tried[best : best + 1]
-        mesh = tried[0]
+        best = int(len(tried) > 1 and is_better(*tried, photos))
+        mesh, smoothness = tried[best], (smoothness[best],)
     return mesh
 
 
