@@ -29,7 +29,7 @@ from robir.geometry.refine.correlation import (
     seen_by,
 )
 from robir.geometry.refine.step import ThinPlate, refine
-from robir.geometry.selection import STEREO, Selection, bending, keeps_relief
+from robir.geometry.selection import STEREO, PhotographJudge, Selection, bending
 from robir.geometry.stereo.fusion import stereo_surface
 from robir.geometry.stereo.sweep import StereoPicture
 from robir.steps import Pipeline
@@ -52,6 +52,10 @@ def capture():
 @pytest.fixture(scope="module")
 def photos(capture):
     return [reduce_view(view, SIDE) for view in capture.train]
+
+
+def judges_of(capture):
+    return [PhotographJudge([reduce_view(view, SIDE) for view in capture.train])]
 
 
 def sphere(radius=RADIUS, dents=0.0):
@@ -148,14 +152,21 @@ def test_the_thin_plate_is_that_of_a_dense_solve():
 def test_dents_are_taken_out_where_photographs_tell(capture):
     dented = sphere(dents=0.03)
     before = roughness(dented)
-    after = roughness(refine(dented, capture.train, (SIDE,), keeps_relief))
+    after = roughness(refine(dented, judges_of(capture)))
     assert before > 0.01
     assert after < 0.4 * before
 
 
 def test_without_texture_a_mesh_is_not_made_rougher():
     capture = capture_of(ball(RADIUS, (0, 0, 0)), views=16, side=SIDE, paint=plain)
-    assert roughness(refine(sphere(), capture.train, (SIDE,), keeps_relief)) < 0.012
+    assert roughness(refine(sphere(), judges_of(capture))) < 0.012
+
+
+class Unasked(PhotographJudge):
+    """Photographs that nobody asks about relief."""
+
+    def keeps_relief(self, smooth, rough):
+        return False
 
 
 def test_relief_stays_where_photographs_show_it():
@@ -164,8 +175,8 @@ def test_relief_stays_where_photographs_show_it():
     solid = trimesh.Trimesh(bumpy.vertices, bumpy.faces, process=False)
     capture = capture_of(solid, views=24, side=SIDE, paint=grain)
 
-    def lost(is_better):
-        moved = refine(bumpy, capture.train, (SIDE,), is_better)
+    def lost(judges):
+        moved = refine(bumpy, judges)
         tracer = EmbreeTracer(bumpy.vertices, bumpy.faces)
         upper = moved.vertices[moved.vertices[:, 2] > 0.25]
         away = upper / np.linalg.norm(upper, axis=1, keepdims=True)
@@ -173,7 +184,8 @@ def test_relief_stays_where_photographs_show_it():
         off = 2 - hits.distance - np.linalg.norm(upper, axis=1)
         return float(np.sqrt(np.nanmean(off**2)))
 
-    asked, smoothest = lost(keeps_relief), lost(lambda *_: False)
+    (judge,) = judges_of(capture)
+    asked, smoothest = lost([judge]), lost([Unasked(judge.photos)])
     assert asked < 0.7 * smoothest
 
 
@@ -191,6 +203,29 @@ def test_photographs_predict_each_other_better_over_the_better_surface(photos):
     )
     assert lead(small, true) > 2
     assert lead(true[:1], dented[:1]) == 0
+
+
+def test_parts_are_judged_one_by_one(photos):
+    """Dents on the upper half: photographs speak for the sphere there, and of nothing below."""
+    dented, true = sphere(dents=0.04), sphere()
+    height = dented.vertices[dented.faces].mean(axis=1)[:, 2]
+    part = np.where(height > 0.1, 1, np.where(height < -0.1, 0, -1))
+    below, above = Predictions(photos).leads((dented, true), part)
+    assert above > 2 > abs(below)
+
+
+def test_of_many_pixels_every_nth_tells_the_same(photos, monkeypatch):
+    dented, true = sphere(dents=0.04), sphere()
+
+    def told():
+        predictions = Predictions(photos)
+        return [predictions.errors(mesh) for mesh in (dented, true)]
+
+    whole = told()
+    monkeypatch.setattr("robir.geometry.prediction._MOST_PIXELS", 600)
+    some = told()
+    assert max(len(error) for error in some[0]) < 800 < min(len(error) for error in whole[0])
+    assert lead(*some) == pytest.approx(lead(*whole), rel=0.35)
 
 
 def lattice_and_radius():

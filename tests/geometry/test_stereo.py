@@ -30,9 +30,11 @@ from robir.geometry.stereo.sweep import (
     StereoPicture,
     aggregate,
     correlation,
+    mean_of_best,
     refined_minimum,
     seen_through_planes,
     sweep,
+    window_mean,
 )
 
 RADIUS = 0.6
@@ -260,3 +262,17 @@ def test_a_rim_that_lacks_is_not_filled_along_whole_rays(sphere):
     # two nodes about a marked one are marked as well, along each axis: up to 3.5 cells
     assert farthest(0.52) < 5.0 * lattice.cell
     assert farthest(0.3) > 5.0 * lattice.cell
+
+
+def test_mean_of_the_best_of_several_maps():
+    maps = [np.random.default_rng(seed).random((5, 6), np.float32) for seed in range(4)]
+    for count in (1, 2, 4):
+        wanted = np.sort(np.stack(maps), axis=0)[-count:].mean(axis=0)
+        np.testing.assert_allclose(mean_of_best(maps, count), wanted, rtol=1e-6)
+
+
+def test_window_mean_is_that_of_windows_mirrored_at_the_border():
+    image = np.random.default_rng(0).random((2, 9, 7), np.float32)
+    wide = np.pad(image, ((0, 0), (2, 2), (2, 2)), mode="reflect")
+    wanted = np.lib.stride_tricks.sliding_window_view(wide, (5, 5), axis=(1, 2)).mean((3, 4))
+    np.testing.assert_allclose(window_mean(image, 2), wanted, rtol=1e-5)

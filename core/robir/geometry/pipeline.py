@@ -19,14 +19,12 @@ from robir.geometry.fit.mirror_pits import Mirroring
 from robir.geometry.ground.backdrop import Backdrop, find_ground
 from robir.geometry.hull import object_hull
 from robir.geometry.lattice import Sampled, resample
-from robir.geometry.mesh.facets import flattened
 from robir.geometry.mesh.simplify import decimate, with_creases
 from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.mesh.unwrap import unwrap
 from robir.geometry.pits import without_pits
-from robir.geometry.prediction import Predictions
 from robir.geometry.rays import RaySampler, ReducedPhoto, reduce_view
-from robir.geometry.selection import Dense, Selection
+from robir.geometry.selection import Dense, PhotographJudge, Selection
 from robir.steps import Pipeline, Step
 from robir.workers import side_by_side
 
@@ -253,7 +251,7 @@ class PostProcessing:
     dense: Dense  # as it was extracted
     mesh: Mesh  # as far as it has got
     config: GeometryConfig  # the stage's configuration
-    predictions: Predictions | None  # photographs that predict each other
+    judge: PhotographJudge | None  # what photographs say of it; None where they are not asked
     warn: Callable[[str], None]  # takes a sentence for the user
 
 
@@ -262,28 +260,35 @@ def post_processed(
     config: GeometryConfig,
     warn: Callable[[str], None],
     pipeline: Pipeline,
-    predictions: Predictions | None = None,
+    judge: PhotographJudge | None = None,
 ) -> Mesh:
-    """The unwrapped mesh of an extracted surface; without `predictions` pits stay."""
-    start = PostProcessing(
-        dense=dense, mesh=dense.mesh, config=config, predictions=predictions, warn=warn
-    )
+    """The unwrapped mesh of an extracted surface; without a judge flat parts and pits stay."""
+    start = PostProcessing(dense=dense, mesh=dense.mesh, config=config, judge=judge, warn=warn)
     return pipeline.run(POST_PROCESSING, start).mesh
 
 
-def _fill_pits(state: PostProcessing) -> PostProcessing:
-    if state.predictions is None:
+def _make_flat(state: PostProcessing) -> PostProcessing:
+    if state.judge is None:
         return state
-    return replace(state, mesh=without_pits(state.mesh, state.predictions))
+    mesh = state.mesh
+    for width in state.dense.widths:
+        mesh = state.judge.with_flat_parts(mesh, width)
+    return replace(state, mesh=mesh)
+
+
+def _fill_pits(state: PostProcessing) -> PostProcessing:
+    if state.judge is None:
+        return state
+    return replace(state, mesh=without_pits(state.mesh, state.judge.predictions))
 
 
 # what is done to the surface that was chosen, in this order
 POST_PROCESSING: tuple[Step[PostProcessing], ...] = (
     Step(
         name="facets",
-        purpose="makes large flat parts flat, with sharp edges between them",
+        purpose="makes large flat parts flat, with sharp edges, where photographs do not object",
         source="RANSAC for planes (Schnabel et al. 2007), seeds at even steps of area",
-        run=lambda state: replace(state, mesh=flattened(state.mesh, state.dense.grain)),
+        run=_make_flat,
     ),
     Step(
         name="decimate",

@@ -35,6 +35,7 @@ Array = NDArray[np.floating]
 _TARGETS = 12  # photographs that are predicted; they lie far from each other
 _NEAREST = 4  # photographs, the nearest to a target, that predict it
 _WHOLE = 0.95  # coverage from which a pixel is object
+_MOST_PIXELS = 30_000  # of a target that are predicted, in every n-th row and column
 _OUTLINE = 2  # distance from the outline within which masks are not believed (pixels)
 _LEARNT_POINTS = 6000  # points of the surface by which what is mirrored is learnt
 _SLACK = 0.01  # distance by which a ray may end before the surface it is to see (unit frame)
@@ -85,6 +86,27 @@ class Predictions:
         carried, told = self._both(mesh)
         return told if lead(carried, told) > 1.0 else carried
 
+    def leads(self, meshes: tuple[Mesh, Mesh], part: NDArray[np.int64]) -> list[float]:
+        """By how many standard errors photographs predict better over parts of a second mesh.
+
+        `part` (Nf,) are the parts, from 0 on, of the faces that both have; -1 for none.
+        """
+        before, after = (self.errors(mesh) for mesh in meshes)
+        tracer = EmbreeTracer(meshes[0].vertices, meshes[0].faces)
+
+        def parts_of(own: int) -> NDArray[np.int64]:
+            hits = tracer.first_hits(*(ray.astype(np.float32) for ray in self._rays(own)))
+            return np.where(np.isfinite(hits.distance), part[hits.face], -1)
+
+        parts = side_by_side(parts_of, self._targets)
+
+        def of_part(errors: list[NDArray[np.float32]], number: int) -> list[NDArray[np.float32]]:
+            pairs = zip(errors, parts, strict=True)
+            return [np.where(at == number, error, np.float32(np.nan)) for error, at in pairs]
+
+        numbers = range(part.max(initial=-1) + 1)
+        return [lead(of_part(before, number), of_part(after, number)) for number in numbers]
+
     def mirroring(self, mesh: Mesh) -> float:
         """By how many standard errors photographs predict better with what a surface mirrors."""
         return lead(*self._both(mesh))
@@ -130,17 +152,27 @@ class Predictions:
         )
         return [without for without, _ in pairs], [told for _, told in pairs]
 
+    def _pixels(self, own: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Rows and columns (N,) of a target's pixels that are predicted."""
+        whole = self._layers[own][..., 3].numpy() > _WHOLE
+        every = int(np.ceil(np.sqrt(whole.sum() / _MOST_PIXELS)))
+        rows, columns = np.nonzero(whole[::every, ::every])
+        return every * rows, every * columns
+
+    def _rays(self, own: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Origins and directions (N, 3) of the rays through these pixels."""
+        rows, columns = self._pixels(own)
+        return self._cameras[own].rays(np.stack([columns + 0.5, rows + 0.5], axis=1))
+
     def _spots(self, tracer: EmbreeTracer, mesh: Mesh, own: int) -> _Spots:
-        camera = self._cameras[own]
-        rows, columns = np.nonzero(self._layers[own][..., 3].numpy() > _WHOLE)
-        origins, directions = camera.rays(np.stack([columns + 0.5, rows + 0.5], axis=1))
+        origins, directions = self._rays(own)
         hits = tracer.first_hits(origins.astype(np.float32), directions.astype(np.float32))
         met = np.isfinite(hits.distance)
         corners = mesh.normals[mesh.faces[hits.face[met]]].astype(np.float64)
         normals = (corners * hits.barycentric[met][:, :, None]).sum(1)
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
         points = origins[met] + hits.distance[met][:, None] * directions[met]
-        return _Spots((rows, columns), met, points, normals)
+        return _Spots(self._pixels(own), met, points, normals)
 
     def _maps(self, tracer: EmbreeTracer, spots: list[_Spots]) -> dict[int, Array]:
         """What is mirrored as all photographs but a target show it, for each target."""

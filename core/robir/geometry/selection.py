@@ -15,20 +15,21 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
 from robir.capture.capture import View
-from robir.capture.images.loading import size_within
 from robir.geometry.config import GeometryConfig
+from robir.geometry.flat_parts import with_flat_parts
 from robir.geometry.lattice import Sampled
 from robir.geometry.mesh.isosurface import extract, largest_pieces, taubin
 from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.prediction import Predictions, lead
 from robir.geometry.rays import ReducedPhoto, reduce_view
 from robir.geometry.refine.correlation import pixel_size
-from robir.geometry.refine.step import refine
+from robir.geometry.refine.step import FLAT, refine
 from robir.geometry.stereo.fusion import stereo_surface
 from robir.jobs.context import Choice
 from robir.workers import meanwhile, side_by_side
@@ -47,7 +48,7 @@ _SMOOTH_ROUNDS = 5
 _WITHIN_REACH = 6.0
 # lead from which it does: scissors that the fit has better come to 0.4, what is better 2.8 and more
 _OVERTAKES = 2.0
-_GRAIN = 1.5  # width of what may be noise of the refined surface (pixels)
+_GRAIN = 1.5  # width of what may be noise of a fit, where cells are wider (pixels)
 # pixels of a photograph a face: two faces a vertex, and a vertex every other row and column
 _FACE_PIXELS = 2.0
 _FACE_BUDGET = 24_000  # most triangles of the result; up to that many photographs' pixels decide
@@ -57,8 +58,33 @@ class Dense(NamedTuple):
     """A surface as it was extracted."""
 
     mesh: Mesh  # without texture coordinates, unit frame
-    grain: float  # width of what may be noise of it, unit frame
+    widths: tuple[float, ...]  # within which of a plane it counts as flat, unit frame
     faces: int  # triangles that it deserves
+
+
+class PhotographJudge:
+    """Photographs of one size, unit frame, and what they say of meshes by predicting each other."""
+
+    def __init__(self, photos: list[ReducedPhoto]) -> None:
+        self.photos, self.predictions = photos, Predictions(photos)
+
+    @property
+    def pixel(self) -> float:
+        """Width of a pixel at the middle of the scene, unit frame."""
+        return pixel_size([photo.camera for photo in self.photos])
+
+    def keeps_relief(self, smooth: Mesh, rough: Mesh) -> bool:
+        """Whether photographs ask for a rough surface, what it bends more counted."""
+        return self.lead_over(smooth, rough) > _RELIEF
+
+    def with_flat_parts(self, mesh: Mesh, width: float) -> Mesh:
+        """See `flat_parts`."""
+        return with_flat_parts(mesh, width, self.predictions)
+
+    def lead_over(self, other: Mesh, mesh: Mesh) -> float:
+        """By how many standard errors a mesh leads another, what it bends counted."""
+        ahead = lead(self.predictions.errors(other), self.predictions.errors(mesh))
+        return weighed(ahead, bending(other) / bending(mesh))
 
 
 class SurfaceCandidate(NamedTuple):
@@ -106,7 +132,7 @@ class Selection:
         *,
         holds_masks: bool,
     ) -> None:
-        self._views, self.predictions = views, Predictions(photos)
+        self._views, self._coarse = views, PhotographJudge(photos)
         self._hulls, self._config, self._holds_masks = hulls, config, holds_masks
         self._is_done = config.stereo_side == 0
         self._stereo = self._by_depth_maps
@@ -123,17 +149,24 @@ class Selection:
             yield
 
     def _by_depth_maps(self) -> Sampled:
-        side = self._config.stereo_side
-        compared = side_by_side(lambda view: reduce_view(view, side), self._views)
+        compared = self._reduced(self._config.stereo_side)
         return stereo_surface(compared, self._hulls[0], holds_masks=self._holds_masks)
+
+    def _reduced(self, side: int) -> list[ReducedPhoto]:
+        return side_by_side(lambda view: reduce_view(view, side), self._views)
+
+    @cached_property
+    def judge(self) -> PhotographJudge:
+        """The photographs as large as surfaces are refined by."""
+        return PhotographJudge(self._reduced(max(self._config.refine_sides)))
 
     def is_mirror(self, surface: Sampled) -> bool:
         """Whether what is mirrored makes predictions better by more than a standard error."""
-        return self.predictions.mirroring(smooth_surface(surface)) > 1.0
+        return self._coarse.predictions.mirroring(smooth_surface(surface)) > 1.0
 
     def is_better(self, surface: Sampled, other: Sampled) -> bool:
         """Whether photographs predict each other better over a surface, what it bends counted."""
-        return lead_over(smooth_surface(other), smooth_surface(surface), self.predictions) > 0
+        return self._coarse.lead_over(smooth_surface(other), smooth_surface(surface)) > 0
 
     def has_better(self, field: Sampled) -> bool:
         """Whether depth maps or hull are better than a fit; only the first level is compared."""
@@ -142,22 +175,23 @@ class Selection:
         self._is_done = True
         started = time.process_time()
         fitted = smooth_surface(field)
-        errors, bends = self.predictions.errors(fitted), bending(fitted)
+        predictions = self._coarse.predictions
+        errors, bends = predictions.errors(fitted), bending(fitted)
 
         def candidate(name: str, dense: Dense) -> SurfaceCandidate:
-            ahead = lead(errors, self.predictions.errors(dense.mesh))
+            ahead = lead(errors, predictions.errors(dense.mesh))
             return SurfaceCandidate(name, dense, ahead, bends / bending(dense.mesh))
 
         surfaces = {STEREO: self._stereo(), HULL: self._hulls[1]}
         candidates = {
             name: candidate(
-                name, Dense(smooth_surface(one), one.lattice.cell, self._config.face_budget)
+                name, Dense(smooth_surface(one), (one.lattice.cell,), self._config.face_budget)
             )
             for name, one in surfaces.items()
         }
         first = max(candidates.values(), key=lambda candidate: candidate.lead)
         if first.lead > -_WITHIN_REACH:
-            first = candidate(first.name, refined(first.dense, self._views, self._config))
+            first = candidate(first.name, self._refined(first.dense))
             candidates[first.name] = first
         self.best = first if first.lead > _OVERTAKES else None
         chosen = FIELD if self.best is None else first.name
@@ -173,37 +207,25 @@ class Selection:
         )
         return self.best is not None
 
+    def _refined(self, dense: Dense) -> Dense:
+        """A surface moved to where patches agree, if photographs and its bending speak for that."""
+        sides = self._config.refine_sides
+        judges = [
+            self.judge if side == max(sides) else PhotographJudge(self._reduced(side))
+            for side in sides
+        ]
+        moved = refine(dense.mesh, judges)
+        # at the size that it was refined by: half of it does not show what it gained
+        is_better = self.judge.lead_over(dense.mesh, moved) > 0
+        pixels = float(np.median([photo.coverage.sum() for photo in self.judge.photos]))
+        faces = int(min(max(self._config.face_budget, pixels / _FACE_PIXELS), _FACE_BUDGET))
+        widths = tuple(sorted({FLAT * judge.pixel for judge in judges}))
+        return Dense(moved if is_better else dense.mesh, widths, faces)
 
-def refined(dense: Dense, views: tuple[View, ...], config: GeometryConfig) -> Dense:
-    """A surface moved to where patches agree, if photographs and its bending speak for that."""
-    mesh = dense.mesh
-    photos = side_by_side(lambda view: reduce_view(view, max(config.refine_sides)), views)
-    moved = refine(mesh, views, config.refine_sides, keeps_relief)
-    # at the size that it was refined by: half of it does not show what it gained
-    if lead_over(mesh, moved, Predictions(photos)) > 0:
-        mesh = moved
-    pixels = float(np.median([photo.coverage.sum() for photo in photos]))
-    faces = int(min(max(config.face_budget, pixels / _FACE_PIXELS), _FACE_BUDGET))
-    return Dense(mesh, min(dense.grain, grain(views, config)), faces)
-
-
-def lead_over(other: Mesh, mesh: Mesh, predictions: Predictions) -> float:
-    """By how many standard errors a mesh leads another, what it bends counted."""
-    ahead = lead(predictions.errors(other), predictions.errors(mesh))
-    return weighed(ahead, bending(other) / bending(mesh))
-
-
-def keeps_relief(smooth: Mesh, rough: Mesh, photos: list[ReducedPhoto]) -> bool:
-    """Whether photographs ask for the relief of a rough surface, what it bends more counted."""
-    return lead_over(smooth, rough, Predictions(photos)) > _RELIEF
-
-
-def grain(views: tuple[View, ...], config: GeometryConfig) -> float:
-    """Width of what may be noise of a surface, unit frame: photographs resolve what is wider."""
-    most = max(config.refine_sides)
-    sizes = [size_within((view.camera.width, view.camera.height), most) for view in views]
-    cameras = [view.camera.resized(*size) for view, size in zip(views, sizes, strict=True)]
-    return _GRAIN * pixel_size(cameras)
+    def of_fit(self, surface: Sampled) -> Dense:
+        """The surface that a fit has come to."""
+        width = min(surface.lattice.cell, _GRAIN * self.judge.pixel)
+        return Dense(smooth_surface(surface), (width,), self._config.face_budget)
 
 
 def smooth_surface(surface: Sampled) -> Mesh:

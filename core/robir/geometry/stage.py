@@ -30,12 +30,12 @@ from robir.geometry.pipeline import (
     post_processed,
 )
 from robir.geometry.remask import remasked
-from robir.geometry.selection import FIELD, Dense, grain, smooth_surface
+from robir.geometry.selection import FIELD
 from robir.jobs.context import Choice, Reporter, StageContext
 from robir.jobs.paths import of_tile, replacing, write_json
 from robir.steps import Pipeline, Step, check_left_out
 
-REVISION = 49  # raised whenever the same input gives another result
+REVISION = 50  # raised whenever the same input gives another result
 
 MASKING = 0.02  # share of the stage that cutting masks again takes
 
@@ -159,10 +159,8 @@ def reconstruct(
     if best is not None:
         dense = best.dense
     else:
-        surface = smooth_surface(Sampled(field.lattice, field.sdf))
-        dense = Dense(surface, min(cell, grain(capture.train, config)), config.face_budget)
-    predictions = levels.selection.predictions
-    mesh = post_processed(dense, config, reporter.warn, pipeline, predictions)
+        dense = levels.selection.of_fit(Sampled(field.lattice, field.sdf))
+    mesh = post_processed(dense, config, reporter.warn, pipeline, levels.selection.judge)
     backdrop = levels.backdrop if best is None else None
     metrics: dict[str, float | str] = {
         "faces": len(mesh.faces),

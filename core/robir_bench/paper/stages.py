@@ -82,7 +82,7 @@ def run_geometry(job: PaperRun, config: GeometryConfig) -> None:
     field = fit_neus(job.pixels(), job.config.neus, generator)
     lattice, values = on_lattice(field.sdf, job.config.neus.cells)
     surface = smooth_surface(Sampled(lattice, values))
-    dense = Dense(surface, lattice.cell, config.face_budget)
+    dense = Dense(surface, (lattice.cell,), config.face_budget)
     mesh = post_processed(dense, config, lambda _: None, Pipeline())
     folder = _folder(job, "geometry")
     mesh.save(folder / "mesh.npz")

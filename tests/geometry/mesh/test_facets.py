@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
@@ -45,7 +47,8 @@ def test_a_noisy_box_becomes_flat_and_sharp() -> None:
         axis = np.abs(facet.normal @ TURN.numpy())
         assert axis.max() > np.cos(np.radians(0.5))
         assert abs(facet.offset - half[int(axis.argmax())]) < 0.1 * LATTICE.cell
-    flat = flattened(mesh, LATTICE.cell)
+    flat, part = flattened(mesh, LATTICE.cell, facets)
+    assert set(part) == set(range(6))
     assert slant(mesh) > 6.0
     assert slant(flat) < 2.0
     reach = np.abs(flat.vertices @ TURN.numpy()).max(axis=0)
@@ -75,3 +78,24 @@ def test_a_shallow_dome_is_not_a_facet() -> None:
     mesh = noisy(torch.maximum(torch.maximum(dome, side), -0.4 - POINTS[:, 2]), 0.0)
     up = TURN.numpy()[:, 2]
     assert not any(facet.normal @ up > 0.9 for facet in find_facets(mesh, LATTICE.cell))
+
+
+def test_without_facets_nothing_moves() -> None:
+    ball = noisy(POINTS.norm(dim=1) - 0.6, 0.15)
+    flat, part = flattened(ball, LATTICE.cell, [])
+    assert flat is ball
+    assert set(part) == {-1}
+
+
+def test_what_adjoins_a_flat_part_follows_without_a_step() -> None:
+    """A lid raised by a width on a drum: its side is drawn along over two widths."""
+    radial = POINTS[:, :2].norm(dim=1) - 0.4
+    drum = noisy(torch.maximum(radial, POINTS[:, 2].abs() - 0.5), 0.0)
+    lid = max(find_facets(drum, LATTICE.cell), key=lambda facet: facet.offset)
+    raised = replace(lid, offset=lid.offset + LATTICE.cell)
+    flat = flattened(drum, LATTICE.cell, [raised]).mesh
+    motion = np.linalg.norm(flat.vertices - drum.vertices, axis=1)
+    edges = np.concatenate([drum.faces[:, [0, 1]], drum.faces[:, [1, 2]]])
+    rim = (motion[edges] > 0).any(axis=1) & (motion[edges] < 0.8 * LATTICE.cell).any(axis=1)
+    assert motion.max() > 0.8 * LATTICE.cell
+    assert np.abs(np.diff(motion[edges[rim]], axis=1)).max() < 0.8 * LATTICE.cell

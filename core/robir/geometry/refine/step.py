@@ -9,23 +9,21 @@ time (quadratic relaxation; Newcombe et al. 2011, "DTAM", eq. 11 to 14).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
+from typing import Protocol
 
 import numpy as np
 import scipy.sparse
 from numpy.typing import NDArray
 from scipy.sparse.linalg import LinearOperator, cg
 
-from robir.capture.capture import View
 from robir.geometry.mesh.isosurface import neighbour_mean, plain_mesh, taubin
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh
-from robir.geometry.rays import ReducedPhoto, reduce_view
+from robir.geometry.rays import ReducedPhoto
 from robir.geometry.refine.correlation import correlations, outline_shifts, pixel_size, seen_by
 from robir.geometry.stereo.sweep import StereoPicture, refined_minimum
-from robir.workers import side_by_side
 
 Array = NDArray[np.float64]
 
@@ -43,6 +41,7 @@ _STEP = 0.5  # between the shifts that are tried, pixels
 # weights of the thin plate's bending against correlation that are tried at the first level: what is
 # plain needs the first, roofs and facades melt by it
 _SMOOTHNESS = (640.0, 40.0)
+FLAT = 3.0  # noise of a moved mesh, within which it counts as flat (pixels)
 _CREASE = 0.3  # bend between neighbouring vertices at which a crease begins, pixels
 _ANCHOR = 0.01  # weight of the mesh as it was, at a shift of the whole reach
 _OUTLINE = 0.2  # weight of the masks' outlines, likewise, each time one runs along a vertex
@@ -59,23 +58,33 @@ class Evidence:
     outline: tuple[Array, Array]  # shifts (Nv,) that outlines ask for and their weights (Nv,)
 
 
-def refine(
-    mesh: Mesh,
-    views: tuple[View, ...],
-    sides: tuple[int, ...],
-    is_better: Callable[[Mesh, Mesh, list[ReducedPhoto]], bool],
-) -> Mesh:
-    """Move a mesh to where photographs agree, finer from size to size of these.
+class Judge(Protocol):
+    """Photographs of one size, and what they say of meshes."""
 
-    `is_better` says by photographs whether the second of two meshes, which bends more, is to go on.
+    @property
+    def photos(self) -> list[ReducedPhoto]:
+        """The photographs, unit frame."""
+        ...
+
+    def keeps_relief(self, smooth: Mesh, rough: Mesh) -> bool:
+        """Whether the second of two meshes, which bends more, is to go on."""
+        ...
+
+    def with_flat_parts(self, mesh: Mesh, width: float) -> Mesh:
+        """A mesh whose parts within a width, unit frame, of a plane are flat."""
+        ...
+
+
+def refine(mesh: Mesh, judges: Sequence[Judge]) -> Mesh:
+    """Move a mesh to where photographs agree, by one size of these after the other, finest last.
+
+    Between them flat parts are made flat, so that the next one starts from sharp edges.
     """
-    reduced = {s: side_by_side(partial(reduce_view, side=s), views) for s in set(sides)}
     smoothness: tuple[float, ...] = _SMOOTHNESS
-    for number, side in enumerate(sides):
-        reach = _FINE_REACH if number else _REACH
-        photos = reduced[side]
+    for number, judge in enumerate(judges):
+        photos, reach = judge.photos, _FINE_REACH if number else _REACH
         pictures = [StereoPicture.of(photo) for photo in photos]
-        pixel = pixel_size([picture.camera for picture in pictures])
+        pixel = pixel_size([photo.camera for photo in photos])
         fine = _subdivided(mesh, _MOST_EDGE * pixel, _MOST_VERTICES)
         mesh = taubin(fine, _FAIR_ROUNDS)
         tracer = EmbreeTracer(mesh.vertices, mesh.faces)
@@ -87,8 +96,10 @@ def refine(
         tried = [
             plain_mesh(best_vertices(mesh, evidence, pixel, s), mesh.faces) for s in smoothness
         ]
-        best = int(len(tried) > 1 and is_better(*tried, photos))
+        best = int(len(tried) > 1 and judge.keeps_relief(*tried))
         mesh, smoothness = tried[best], (smoothness[best],)
+        if number + 1 < len(judges):
+            mesh = judge.with_flat_parts(mesh, FLAT * pixel)
     return mesh
 
 

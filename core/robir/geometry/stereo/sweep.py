@@ -14,11 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
 from torch import Tensor
 from torch.nn.functional import grid_sample
 
 from robir.capture.camera import Camera
+from robir.capture.images.opencv import cv2
 from robir.geometry.rays import ReducedPhoto
 
 Floats = NDArray[np.float32]
@@ -119,9 +119,10 @@ class DepthMap:
 
 def window_mean(image: Floats, half: int) -> Floats:
     """Means (N, H, W) over square windows of 2 half + 1 pixels; mirrored at the border."""
-    size = 2 * half + 1
-    rows = uniform_filter1d(image, size, axis=1, mode="mirror")
-    return uniform_filter1d(rows, size, axis=2, mode="mirror")
+    size, means = (2 * half + 1, 2 * half + 1), np.empty_like(image)
+    for plane, mean in zip(image, means, strict=True):
+        cv2.boxFilter(plane, -1, size, dst=mean, borderType=cv2.BORDER_REFLECT_101)
+    return means
 
 
 def correlation(one: Floats, other: Floats, half: int, noise: float) -> Floats:
@@ -134,6 +135,15 @@ def correlation(one: Floats, other: Floats, half: int, noise: float) -> Floats:
     variances = (window_mean(other * other, half) - means * means).clip(min=0) + noise**2
     covariance = window_mean(one * other, half) - mean * means
     return covariance / np.sqrt(variance * variances)
+
+
+def mean_of_best(maps: list[Floats], count: int) -> Floats:
+    """Mean of the `count` largest of some arrays of one shape, at each place."""
+    best = [np.full_like(maps[0], -np.inf) for _ in range(count)]
+    for rest in maps:
+        for rank, above in enumerate(best):
+            best[rank], rest = np.maximum(above, rest), np.minimum(above, rest)
+    return sum(best[1:], start=best[0]) / np.float32(count)
 
 
 def seen_through_planes(
@@ -191,8 +201,7 @@ def sweep(own: StereoPicture, others: list[StereoPicture], entry: Floats, far: f
         alike = correlation(grey, warped.numpy(), _WINDOW, _NOISE)
         agreed.append(alike * is_seen.view(shape).numpy())
     # the better half: what lies in front of the others hides the point from some
-    kept = (len(others) + 1) // 2
-    best = torch.from_numpy(np.stack(agreed)).topk(kept, dim=0).values.mean(0).numpy()
+    best = mean_of_best(agreed, (len(others) + 1) // 2)
     cost = np.ascontiguousarray(1 - best.transpose(1, 2, 0))
     step = (depths[1:] - depths[:-1]).max()
     cost[depths < entry[..., None] - step] = _EARLY
