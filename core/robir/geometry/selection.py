@@ -13,7 +13,7 @@ hull is compared as refined: before, it is what a mesh of cells is, and the fit 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cached_property
 from typing import NamedTuple
@@ -135,7 +135,7 @@ class Selection:
         self._views, self._coarse = views, PhotographJudge(photos)
         self._hulls, self._config, self._holds_masks = hulls, config, holds_masks
         self._is_done = config.stereo_side == 0
-        self._stereo = self._by_depth_maps
+        self._stereo: Callable[[], Sampled] | None = None  # what gives the depth maps begun
         self.best: SurfaceCandidate | None = None
         self.choices: tuple[Choice, ...] = ()
 
@@ -147,6 +147,7 @@ class Selection:
             return
         with meanwhile(self._by_depth_maps) as self._stereo:
             yield
+        self._stereo = None  # it holds the photographs
 
     def _by_depth_maps(self) -> Sampled:
         compared = self._reduced(self._config.stereo_side)
@@ -182,7 +183,8 @@ class Selection:
             ahead = lead(errors, predictions.errors(dense.mesh))
             return SurfaceCandidate(name, dense, ahead, bends / bending(dense.mesh))
 
-        surfaces = {STEREO: self._stereo(), HULL: self._hulls[1]}
+        by_depth_maps = self._stereo or self._by_depth_maps
+        surfaces = {STEREO: by_depth_maps(), HULL: self._hulls[1]}
         candidates = {
             name: candidate(
                 name, Dense(smooth_surface(one), (one.lattice.cell,), self._config.face_budget)
