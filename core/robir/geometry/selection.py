@@ -40,8 +40,8 @@ STEREO, HULL, FIELD = "by depth maps", "by masks alone", "by a fit of field and 
 # bends 2 to 3.4 times as much as depth maps
 _BENT = 5.0
 # lead, bending counted, from which a refined surface keeps its relief: the house has 5.0, round and
-# plain things -6.2 to 2.0, and are better without
-_RELIEF = 3.0
+# plain things -6.2 to 3.1, and are better without
+_RELIEF = 4.0
 # rounds of Taubin smoothing that take the steps of the cells out of an extracted surface
 _SMOOTH_ROUNDS = 5
 # by how much a surface may lie behind the fit and yet overtake it: refinement brings 1.7 to 8.2
