@@ -18,13 +18,22 @@ from robir.geometry.prediction import Predictions
 _LEAST_LEAD = -0.5
 
 
-def with_flat_parts(mesh: Mesh, width: float, predictions: Predictions) -> Mesh:
-    """A mesh, unit frame, whose parts within a width of a plane are flat; the same faces."""
+def with_flat_parts(
+    mesh: Mesh, width: float, predictions: Predictions, *, follows: bool = True
+) -> Mesh:
+    """A mesh, unit frame, whose parts within a width of a plane are flat; the same faces.
+
+    What adjoins them follows, unless the mesh is rougher than that (`follows`).
+    """
     facets = find_facets(mesh, width)
     if not facets:
         return mesh
-    flat = flattened(mesh, width, facets)
+    flat = flattened(mesh, width, facets, follows=follows)
     leads = predictions.leads((mesh, flat.mesh), flat.part[mesh.faces].max(axis=1))
     leads += [-np.inf] * (len(facets) - len(leads))  # what no face has any more
     kept = [facet for facet, ahead in zip(facets, leads, strict=True) if ahead > _LEAST_LEAD]
-    return flat.mesh if len(kept) == len(facets) else flattened(mesh, width, kept).mesh
+    return (
+        flat.mesh
+        if len(kept) == len(facets)
+        else flattened(mesh, width, kept, follows=follows).mesh
+    )

@@ -272,7 +272,7 @@ def _make_flat(state: PostProcessing) -> PostProcessing:
         return state
     mesh = state.mesh
     for width in state.dense.widths:
-        mesh = state.judge.with_flat_parts(mesh, width)
+        mesh = state.judge.with_flat_parts(mesh, width, follows=state.dense.is_smooth)
     return replace(state, mesh=mesh)
 
 

@@ -40,7 +40,7 @@ STEREO, HULL, FIELD = "by depth maps", "by masks alone", "by a fit of field and 
 # bends 2 to 3.4 times as much as depth maps
 _BENT = 5.0
 # lead, bending counted, from which a refined surface keeps its relief: the house has 5.0, round and
-# plain things -6.2 to 3.1, and are better without
+# plain things -6.2 to a little over 3, and are better without
 _RELIEF = 4.0
 # rounds of Taubin smoothing that take the steps of the cells out of an extracted surface
 _SMOOTH_ROUNDS = 5
@@ -60,6 +60,7 @@ class Dense(NamedTuple):
     mesh: Mesh  # without texture coordinates, unit frame
     widths: tuple[float, ...]  # within which of a plane it counts as flat, unit frame
     faces: int  # triangles that it deserves
+    is_smooth: bool = False  # so that teeth along flat parts would show
 
 
 class PhotographJudge:
@@ -77,9 +78,9 @@ class PhotographJudge:
         """Whether photographs ask for a rough surface, what it bends more counted."""
         return self.lead_over(smooth, rough) > _RELIEF
 
-    def with_flat_parts(self, mesh: Mesh, width: float) -> Mesh:
+    def with_flat_parts(self, mesh: Mesh, width: float, *, follows: bool = True) -> Mesh:
         """See `flat_parts`."""
-        return with_flat_parts(mesh, width, self.predictions)
+        return with_flat_parts(mesh, width, self.predictions, follows=follows)
 
     def lead_over(self, other: Mesh, mesh: Mesh) -> float:
         """By how many standard errors a mesh leads another, what it bends counted."""
@@ -222,7 +223,7 @@ class Selection:
         pixels = float(np.median([photo.coverage.sum() for photo in self.judge.photos]))
         faces = int(min(max(self._config.face_budget, pixels / _FACE_PIXELS), _FACE_BUDGET))
         widths = tuple(sorted({FLAT * judge.pixel for judge in judges}))
-        return Dense(moved if is_better else dense.mesh, widths, faces)
+        return Dense(moved if is_better else dense.mesh, widths, faces, is_smooth=True)
 
     def of_fit(self, surface: Sampled) -> Dense:
         """The surface that a fit has come to."""

@@ -47,8 +47,8 @@ def test_a_noisy_box_becomes_flat_and_sharp() -> None:
         axis = np.abs(facet.normal @ TURN.numpy())
         assert axis.max() > np.cos(np.radians(0.5))
         assert abs(facet.offset - half[int(axis.argmax())]) < 0.1 * LATTICE.cell
-    flat, part = flattened(mesh, LATTICE.cell, facets)
-    assert set(part) == set(range(6))
+    flat, part = flattened(mesh, LATTICE.cell, facets, follows=True)
+    assert set(part) - {-1} == set(range(6))
     assert slant(mesh) > 6.0
     assert slant(flat) < 2.0
     reach = np.abs(flat.vertices @ TURN.numpy()).max(axis=0)
@@ -82,12 +82,12 @@ def test_a_shallow_dome_is_not_a_facet() -> None:
 
 def test_without_facets_nothing_moves() -> None:
     ball = noisy(POINTS.norm(dim=1) - 0.6, 0.15)
-    flat, part = flattened(ball, LATTICE.cell, [])
+    flat, part = flattened(ball, LATTICE.cell, [], follows=True)
     assert flat is ball
     assert set(part) == {-1}
 
 
-def test_what_adjoins_a_flat_part_follows_without_a_step(monkeypatch) -> None:
+def test_what_adjoins_a_flat_part_follows_without_a_step() -> None:
     """A lid raised by a width on a drum: its side is drawn along over two widths."""
     radial = POINTS[:, :2].norm(dim=1) - 0.4
     drum = noisy(torch.maximum(radial, POINTS[:, 2].abs() - 0.5), 0.0)
@@ -95,14 +95,12 @@ def test_what_adjoins_a_flat_part_follows_without_a_step(monkeypatch) -> None:
     raised = replace(lid, offset=lid.offset + LATTICE.cell)
     edges = np.concatenate([drum.faces[:, [0, 1]], drum.faces[:, [1, 2]]])
 
-    def steps() -> np.ndarray:
-        flat = flattened(drum, LATTICE.cell, [raised]).mesh
+    def steps(*, follows: bool) -> np.ndarray:
+        flat = flattened(drum, LATTICE.cell, [raised], follows=follows).mesh
         motion = np.linalg.norm(flat.vertices - drum.vertices, axis=1)
         assert motion.max() > 0.8 * LATTICE.cell
         return np.sort(np.abs(np.diff(motion[edges], axis=1))[:, 0])[::-1]
 
-    followed = steps()
-    monkeypatch.setattr("robir.geometry.mesh.facets._FOLLOWING", 0.0)
-    alone = steps()
+    followed, alone = steps(follows=True), steps(follows=False)
     # of the edges across the rim
     assert followed[:100].mean() < 0.75 * alone[:100].mean()

@@ -228,21 +228,27 @@ class Flattened(NamedTuple):
     part: NDArray[np.int64]
 
 
-def flattened(mesh: Mesh, width: float, facets: list[Facet]) -> Flattened:
-    """The mesh with these facets of it made flat, and sharp where two of them meet."""
+def flattened(mesh: Mesh, width: float, facets: list[Facet], *, follows: bool) -> Flattened:
+    """The mesh with these facets of it made flat, and sharp where two of them meet.
+
+    What adjoins follows if asked for, so that no teeth are left on a smooth surface.
+    """
     skin = _Skin(mesh, width)
     part = np.full(len(mesh.vertices), -1)
     if not facets:
         return Flattened(mesh, part)
     claims = _claims(skin, facets)
+    if follows:
+        claims = np.stack([skin.evened(claimed) for claimed in claims])
     placed = skin.vertices.copy()
     for _ in range(12):  # alternating projections end on the planes' intersection
         for facet, claimed in zip(facets, claims, strict=True):
             placed[claimed] -= facet.height(placed[claimed])[:, None] * facet.normal
     motion = placed - skin.vertices
     is_moved = claims.any(axis=0) & (np.linalg.norm(motion, axis=1) <= _LIMIT * width)
+    following = skin.rings(_FOLLOWING) if follows else 0
     for number, claimed in enumerate(claims):
-        about = skin.grown(claimed & is_moved, skin.rings(_FOLLOWING))
+        about = skin.grown(claimed & is_moved, following)
         part[about & (part < 0)] = number
     drawn = (part >= 0) & ~is_moved
     for number, claimed in enumerate(claims):
@@ -263,4 +269,4 @@ def _claims(skin: _Skin, facets: list[Facet]) -> Mask:
         for two, other in enumerate(facets):
             if one != two and facet.normal @ other.normal > _SAME_SIDE:
                 claims[one] &= ~(near[two] & (distance[two] < distance[one]))
-    return np.stack([skin.evened(claimed) for claimed in claims])
+    return claims
