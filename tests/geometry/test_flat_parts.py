@@ -10,10 +10,7 @@ import trimesh
 from robir.geometry.flat_parts import with_flat_parts
 from robir.geometry.mesh.isosurface import plain_mesh
 from robir.geometry.mesh.triangles import face_geometry
-from robir.geometry.prediction import Predictions
-from robir.geometry.rays import reduce_view
-from tests.geometry.scenes import capture_of
-from tests.geometry.test_pits import grain
+from tests.geometry.test_pits import predictions_of
 
 HALF = 0.45
 WAVES = 0.02  # height of the waves
@@ -34,12 +31,6 @@ def block(height):
     return plain_mesh(HALF * place, np.asarray(cube.faces))
 
 
-def predictions_of(mesh):
-    solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
-    capture = capture_of(solid, views=24, side=160, paint=grain)
-    return Predictions([reduce_view(view, 160) for view in capture.train])
-
-
 def slant(mesh):
     """Mean angle, by area, between faces and the nearest axis, degrees."""
     normals, areas = face_geometry(mesh.vertices.astype(np.float64), mesh.faces)
@@ -54,10 +45,10 @@ def wavy():
 
 def test_a_cube_with_waves_for_noise_becomes_a_cube(wavy):
     assert slant(wavy) > 4
-    flat = with_flat_parts(wavy, 2 * WAVES, predictions_of(block(0.0)))
+    flat = with_flat_parts(wavy, 2 * WAVES, predictions_of(block(0.0), side=160))
     assert slant(flat) < 1.5
 
 
 def test_waves_that_photographs_show_stay(wavy):
-    kept = with_flat_parts(wavy, 2 * WAVES, predictions_of(wavy))
+    kept = with_flat_parts(wavy, 2 * WAVES, predictions_of(wavy, side=160))
     np.testing.assert_array_equal(kept.vertices, wavy.vertices)

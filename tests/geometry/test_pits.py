@@ -45,9 +45,9 @@ def solid_of(mesh):
     return trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
 
 
-def predictions_of(mesh):
-    capture = capture_of(solid_of(mesh), views=24, side=96, paint=grain)
-    return Predictions([reduce_view(view, 96) for view in capture.train])
+def predictions_of(mesh, side=96):
+    capture = capture_of(solid_of(mesh), views=24, side=side, paint=grain)
+    return Predictions([reduce_view(view, side) for view in capture.train])
 
 
 @pytest.fixture(scope="module")

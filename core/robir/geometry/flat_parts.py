@@ -23,7 +23,8 @@ def with_flat_parts(
 ) -> Mesh:
     """A mesh, unit frame, whose parts within a width of a plane are flat; the same faces.
 
-    What adjoins them follows, unless the mesh is rougher than that (`follows`).
+    `follows` says whether what adjoins them is drawn along: beside a smooth surface they would end
+    in teeth, a fit is too rough for that to show.
     """
     facets = find_facets(mesh, width)
     if not facets:
@@ -32,8 +33,6 @@ def with_flat_parts(
     leads = predictions.leads((mesh, flat.mesh), flat.part[mesh.faces].max(axis=1))
     leads += [-np.inf] * (len(facets) - len(leads))  # what no face has any more
     kept = [facet for facet, ahead in zip(facets, leads, strict=True) if ahead > _LEAST_LEAD]
-    return (
-        flat.mesh
-        if len(kept) == len(facets)
-        else flattened(mesh, width, kept, follows=follows).mesh
-    )
+    if len(kept) < len(facets):
+        flat = flattened(mesh, width, kept, follows=follows)
+    return flat.mesh

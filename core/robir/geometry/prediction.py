@@ -24,7 +24,7 @@ from scipy import sparse
 from torch.nn.functional import grid_sample
 
 from robir.capture.images.opencv import cv2
-from robir.geometry.mesh.tracer import EmbreeTracer
+from robir.geometry.mesh.tracer import EmbreeTracer, Hits
 from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.rays import ReducedPhoto
 from robir.maths.vectors import farthest_points
@@ -49,6 +49,14 @@ _HELD = 20.0  # observations by which a cell is held to mirror nothing
 _ROUNDS = 12  # turns of solving spots and map after each other
 _LEAST_VIEWS = 3  # photographs that must show a spot from which the map is learnt
 _LEAST_VIEWS_OF_SPREAD = 4  # photographs that must show a vertex before their differences count
+
+
+class _Seen(NamedTuple):
+    """What the pixels of a target photograph see."""
+
+    pixels: tuple[NDArray[np.int64], ...]  # rows and columns (N,) of those that are wholly object
+    rays: tuple[NDArray[np.float64], NDArray[np.float64]]  # origins and directions (N, 3)
+    hits: Hits  # where these first meet a surface
 
 
 class _Spots(NamedTuple):
@@ -95,7 +103,7 @@ class Predictions:
         tracer = EmbreeTracer(meshes[0].vertices, meshes[0].faces)
 
         def parts_of(own: int) -> NDArray[np.int64]:
-            hits = tracer.first_hits(*(ray.astype(np.float32) for ray in self._rays(own)))
+            hits = self._seen(tracer, own).hits
             return np.where(np.isfinite(hits.distance), part[hits.face], -1)
 
         parts = side_by_side(parts_of, self._targets)
@@ -152,27 +160,24 @@ class Predictions:
         )
         return [without for without, _ in pairs], [told for _, told in pairs]
 
-    def _pixels(self, own: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Rows and columns (N,) of a target's pixels that are predicted."""
+    def _seen(self, tracer: EmbreeTracer, own: int) -> _Seen:
+        """What a target sees at its pixels that are predicted."""
         whole = self._layers[own][..., 3].numpy() > _WHOLE
         every = int(np.ceil(np.sqrt(whole.sum() / _MOST_PIXELS)))
-        rows, columns = np.nonzero(whole[::every, ::every])
-        return every * rows, every * columns
-
-    def _rays(self, own: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Origins and directions (N, 3) of the rays through these pixels."""
-        rows, columns = self._pixels(own)
-        return self._cameras[own].rays(np.stack([columns + 0.5, rows + 0.5], axis=1))
+        rows, columns = (every * place for place in np.nonzero(whole[::every, ::every]))
+        rays = self._cameras[own].rays(np.stack([columns + 0.5, rows + 0.5], axis=1))
+        return _Seen(
+            (rows, columns), rays, tracer.first_hits(*(r.astype(np.float32) for r in rays))
+        )
 
     def _spots(self, tracer: EmbreeTracer, mesh: Mesh, own: int) -> _Spots:
-        origins, directions = self._rays(own)
-        hits = tracer.first_hits(origins.astype(np.float32), directions.astype(np.float32))
+        pixels, (origins, directions), hits = self._seen(tracer, own)
         met = np.isfinite(hits.distance)
         corners = mesh.normals[mesh.faces[hits.face[met]]].astype(np.float64)
         normals = (corners * hits.barycentric[met][:, :, None]).sum(1)
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
         points = origins[met] + hits.distance[met][:, None] * directions[met]
-        return _Spots(self._pixels(own), met, points, normals)
+        return _Spots(pixels, met, points, normals)
 
     def _maps(self, tracer: EmbreeTracer, spots: list[_Spots]) -> dict[int, Array]:
         """What is mirrored as all photographs but a target show it, for each target."""

@@ -246,13 +246,12 @@ def flattened(mesh: Mesh, width: float, facets: list[Facet], *, follows: bool) -
             placed[claimed] -= facet.height(placed[claimed])[:, None] * facet.normal
     motion = placed - skin.vertices
     is_moved = claims.any(axis=0) & (np.linalg.norm(motion, axis=1) <= _LIMIT * width)
-    following = skin.rings(_FOLLOWING) if follows else 0
-    for number, claimed in enumerate(claims):
-        about = skin.grown(claimed & is_moved, following)
-        part[about & (part < 0)] = number
-    drawn = (part >= 0) & ~is_moved
     for number, claimed in enumerate(claims):
         part[claimed & is_moved] = number
+    following = skin.rings(_FOLLOWING) if follows else 0
+    for number, claimed in enumerate(claims):
+        part[skin.grown(claimed & is_moved, following) & (part < 0)] = number
+    drawn = (part >= 0) & ~is_moved
     followed = skin.vertices + skin.followed(motion, is_moved, drawn)
     return Flattened(plain_mesh(followed, mesh.faces), part)
 
