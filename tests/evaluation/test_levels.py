@@ -69,7 +69,7 @@ def test_a_perfect_result_loses_nothing_that_its_photographs_have(paths):
     for name in ("field", "diffuse", "material", "cycles"):
         assert chain[name]["psnr"] == 100.0  # the ceiling
         assert chain[name]["ssim"] == pytest.approx(1.0)
-        assert chain[name]["gradient"] == 0.0
+        assert chain[name]["sharpness"] == 1.0
     # the sphere is matt, so its mean is what every photograph shows, sharpness aside
     assert chain["mesh"]["psnr"] > 25 and chain["mean"]["psnr"] > 25
     assert chain["hull"]["psnr"] < chain["mesh"]["psnr"]

@@ -121,7 +121,7 @@ def level_scores(paths: JobPaths, strip: Path | None = None) -> dict[str, Any]:
     """Score every level that a finished result can show, as plain JSON values.
 
     "views", "seen_share" (of the mask's pixels those that are compared); "chain", by the names of
-    `LEVELS`: "letter", "title", "views", "psnr", "ssim", "gradient", "psnr_whole_mask", and "loss"
+    `LEVELS`: "letter", "title", "views", "psnr", "ssim", "sharpness", "psnr_whole_mask", and "loss"
     in dB against the level "against"; None what is not measured. "verdict" is a sentence. Pictures
     of a few views are written to `strip`, a PNG.
     """
@@ -232,7 +232,7 @@ def _table(
             if one.view.name in shown and one.seen.any()
         }
         row: dict[str, Any] = {"letter": level.letter, "title": level.title, "views": len(scores)}
-        for kind in ("psnr", "ssim", "gradient", "psnr_whole_mask"):
+        for kind in ("psnr", "ssim", "sharpness", "psnr_whole_mask"):
             row[kind] = _mean([one[kind] for one in scores.values()])
         row |= {"loss": None, "against": None}
         if before is not None and scores:
@@ -259,7 +259,7 @@ def view_scores(judged: Judged, picture: Picture) -> dict[str, Any]:
     return {
         "psnr": metrics.psnr(ours[judged.seen], photo[judged.seen]),
         "ssim": metrics.masked_ssim(ours, photo, judged.seen),
-        "gradient": metrics.gradient_error(ours, photo, judged.seen),
+        "sharpness": metrics.sharpness(ours, photo, judged.seen),
         "psnr_whole_mask": metrics.psnr(ours[judged.whole], photo[judged.whole]),
     }
 
@@ -306,7 +306,7 @@ def strip_rows(judged: Sequence[Judged], pictures: Mapping[str, Pictures]) -> li
 
 
 # titles of the columns of `level_cells`
-LEVEL_HEAD = ("level", "", "dB", "SSIM", "gradient", "dB, whole mask", "loss, dB")
+LEVEL_HEAD = ("level", "", "dB", "SSIM", "sharpness", "dB, whole mask", "loss, dB")
 
 
 def level_cells(levels: Mapping[str, Any]) -> list[list[str]]:
@@ -315,7 +315,7 @@ def level_cells(levels: Mapping[str, Any]) -> list[list[str]]:
     def text(value: float | None, digits: int, sign: str) -> str:
         return "-" if value is None else f"{value:{sign}.{digits}f}"
 
-    kinds = {"psnr": (1, ""), "ssim": (3, ""), "gradient": (2, ""), "psnr_whole_mask": (1, "")}
+    kinds = {"psnr": (1, ""), "ssim": (3, ""), "sharpness": (2, ""), "psnr_whole_mask": (1, "")}
     kinds["loss"] = (1, "+")
     return [
         [row["letter"], row["title"], *(text(row[kind], *how) for kind, how in kinds.items())]

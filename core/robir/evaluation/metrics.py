@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scores of pictures: PSNR, structure and gradients; PSNR is 10 log10(1 / mean squared error)."""
+"""Scores of pictures: PSNR, structure and sharpness; PSNR is 10 log10(1 / mean squared error)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ Array = NDArray[np.floating[Any]]
 Mask = NDArray[np.bool_]
 
 _PSNR_CEILING = 100.0
-_GRADIENT_SCALES = 3
 
 
 def srgb_from_linear(linear: Array) -> Array:
@@ -42,32 +41,17 @@ def masked_ssim(estimate: Array, truth: Array, mask: Mask) -> float:
     return float(np.mean(similarity[mask]))
 
 
-def gradient_error(estimate: Array, truth: Array, mask: Mask) -> float | None:
-    """Difference of the gradients of two images over the gradients of the truth, both mean L1.
+def sharpness(estimate: Array, truth: Array, mask: Mask) -> float | None:
+    """Sum of an image's gradients, L1, over that of the truth: 1 where it is as sharp.
 
-    Images (H, W, 3) in [0, 1]. 0 for equal ones and 1 for an even estimate: what is blurred,
-    shifted or missing counts, a wrong brightness does not. Differences of neighbours along rows and
-    columns whose pixels are all in the mask (H, W), at full size, half and a quarter of it (means
-    over 2 x 2 pixels); the mean of the three. None where the truth has no gradient.
+    Images (H, W, 3) in [0, 1]; differences of neighbours along rows and columns that are both in
+    the mask (H, W). What is blurred is below 1 wherever it lies; noise counts as sharp in both.
+    None where the truth has no gradient.
     """
-    ratios = []
+    own = whole = 0.0
     a, b = np.asarray(truth, np.float64), np.asarray(estimate, np.float64)
-    for scale in range(_GRADIENT_SCALES):
-        if scale:
-            a, b, mask = _halved(a), _halved(b), _halved(mask[..., None].astype(float))[..., 0] == 1
-        off = whole = 0.0
-        for axis in (0, 1):
-            both = np.minimum(*(np.delete(mask, end, axis) for end in (0, -1))).astype(bool)
-            steps = np.diff(a, axis=axis)[both]
-            off += float(np.abs(np.diff(b, axis=axis)[both] - steps).sum())
-            whole += float(np.abs(steps).sum())
-        if whole > 0:
-            ratios.append(off / whole)
-    return float(np.mean(ratios)) if ratios else None
-
-
-def _halved(image: Array) -> Array:
-    """Means over 2 x 2 pixels; an odd last row or column is left out."""
-    height, width = (n - n % 2 for n in image.shape[:2])
-    blocks = image[:height, :width].reshape(height // 2, 2, width // 2, 2, -1)
-    return blocks.mean(axis=(1, 3))
+    for axis in (0, 1):
+        both = np.minimum(*(np.delete(mask, end, axis) for end in (0, -1))).astype(bool)
+        own += float(np.abs(np.diff(b, axis=axis)[both]).sum())
+        whole += float(np.abs(np.diff(a, axis=axis)[both]).sum())
+    return own / whole if whole > 0 else None

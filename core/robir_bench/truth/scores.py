@@ -90,6 +90,11 @@ LEVEL_SCORES = (
         for level in LEVELS
         if level.name in ("mean", "diffuse", "material", "cycles")
     ),
+    *(
+        Score(f"{level.letter} (sharpness)", f"levels.chain.{level.name}.sharpness", "one", 2)
+        for level in LEVELS
+        if level.name in ("mesh", "material")
+    ),
     Score("f, whole mask (dB)", "levels.chain.cycles.psnr_whole_mask", "high", 1),
     Score("e above c' (dB)", "levels.chain.material.psnr - levels.chain.mean.psnr", "high", 1),
 )
