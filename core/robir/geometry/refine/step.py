@@ -96,7 +96,8 @@ def refine(mesh: Mesh, judges: Sequence[Judge]) -> Mesh:
         tried = [
             plain_mesh(best_vertices(mesh, evidence, pixel, s), mesh.faces) for s in smoothness
         ]
-        best = int(len(tried) > 1 and judge.keeps_relief(*tried))
+        # by the finest photographs: smaller ones hardly show relief
+        best = int(len(tried) > 1 and judges[-1].keeps_relief(*tried))
         mesh, smoothness = tried[best], (smoothness[best],)
         if number + 1 < len(judges):
             mesh = judge.with_flat_parts(mesh, FLAT * pixel)
