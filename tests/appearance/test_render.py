@@ -64,6 +64,7 @@ def shown():
         uncertainty=0 * texels,
         roughness=np.full(2, ROUGHNESS, np.float32),
         metallic=texels,
+        irradiance=np.ones((2, 3), np.float32),
     )
     import trimesh
 

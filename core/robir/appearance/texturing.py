@@ -17,7 +17,8 @@ from robir.appearance.light.solver import Light
 from robir.appearance.material.specular import SpecularMaterial
 from robir.appearance.photograph_check import Asset, CheckResult, PhotographCheck, check_asset
 from robir.appearance.texture.albedo import texel_albedo
-from robir.appearance.texture.detail import finer
+from robir.appearance.texture.detail import SharpestViews, finer
+from robir.appearance.texture.lost_detail import regained
 from robir.appearance.texture.texels import TexelAlbedo, Texels
 from robir.capture.camera import Camera
 from robir.capture.capture import Capture, View
@@ -177,10 +178,10 @@ def _refine_detail(state: Texture) -> Texture:
     width = pixel_width(state.problem.scene.transport, cameras)
     most = most_side(state.config, state.mesh.cells)
     side = texture_side(state.mesh, width, (len(state.inside), most))
-    views = spread_views(state.capture.train, _DETAIL_VIEWS)
-    photographs = (views, state.problem.curve)
-    surface = (state.mesh, state.tracer)
-    inside, values = finer(state.values, state.inside, surface, photographs, side)
+    photographs = spread_views(state.capture.train, _DETAIL_VIEWS)
+    views = SharpestViews((state.mesh, state.tracer), photographs, state.problem.curve)
+    values = regained(state.values, state.inside, views, width)
+    inside, values = finer(values, state.inside, views, side)
     return replace(state, inside=inside, values=values)
 
 
@@ -207,7 +208,7 @@ TEXTURE: tuple[Step[Texture], ...] = (
     ),
     Step(
         name="detail",
-        purpose="adds what the sharpest photographs show finer than the solved texels",
+        purpose="adds what the sharpest photographs show finer than the mean of all does",
         source="multi-band blending (Burt and Adelson 1983; Allene et al. 2008)",
         run=_refine_detail,
     ),

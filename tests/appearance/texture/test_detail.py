@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Paint finer than the solved texels, from photographs of a floor whose paint is known."""
+"""Paint that solved texels lack, from photographs of a floor whose paint is known."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ import pytest
 import torch
 from transport.shapes import looking_at, mesh_of, patch
 
-from robir.appearance.texture.detail import finer
+from robir.appearance.texture.detail import SharpestViews, finer
+from robir.appearance.texture.lost_detail import regained
 from robir.appearance.texture.texels import TexelAlbedo
 from robir.appearance.texturing import pixel_width, texture_side
 from robir.capture.capture import View
@@ -42,13 +43,15 @@ def floor() -> Mesh:
     return replace(mesh, uvs=uvs.astype(np.float32), uv_faces=mesh.faces)
 
 
-def photograph(position, name: str, specular=None, dimmed: float = 1.0, size: int = 500) -> View:
+def photograph(
+    position, name: str, specular=None, dimmed: float = 1.0, size: int = 500, paint=paint_at
+) -> View:
     """The floor under even light, at its own exposure; `specular` adds radiance to points."""
     camera = looking_at(position, size=size, focal=1.1)
     fine = camera.resized(2 * size, 2 * size)
     origins, directions = fine.rays(fine.pixel_centres())
     points = origins - directions * (origins[:, 2:] / directions[:, 2:])
-    radiance = LIGHT * paint_at(points) + (0.0 if specular is None else specular(points))
+    radiance = LIGHT * paint(points) + (0.0 if specular is None else specular(points))
     mean = (dimmed * radiance).reshape(size, 2, size, 2, 3).mean(axis=(1, 3))
     shown = CURVE.display_from_linear(torch.from_numpy(mean.astype(np.float32))).numpy()
     held = (np.abs(points[:, :2]) < 1).all(1).reshape(size, 2, size, 2).all(axis=(1, 3))
@@ -81,6 +84,7 @@ def solved(mesh: Mesh) -> tuple[np.ndarray, TexelAlbedo]:
         uncertainty=flat,
         roughness=flat,
         metallic=np.zeros(count, np.float32),
+        irradiance=np.full((count, 3), LIGHT, np.float32),
     )
 
 
@@ -96,8 +100,9 @@ def made_finer(views: list[View]) -> tuple[np.ndarray, np.ndarray]:
     position, _ = interpolate(mesh, face[face >= 0], barycentric[face >= 0])
     truth = np.log(paint_at(position))
     middle = (np.abs(position) < 0.8).all(1)
-    before = finer(values, inside, (mesh, tracer), ([], CURVE), SIDE)[1].albedo
-    held, after = finer(values, inside, (mesh, tracer), (views, CURVE), SIDE)
+    nothing = SharpestViews((mesh, tracer), [], CURVE)
+    before = finer(values, inside, nothing, SIDE)[1].albedo
+    held, after = finer(values, inside, SharpestViews((mesh, tracer), views, CURVE), SIDE)
     assert (held == (face >= 0)).all()
     assert set(after.coverage) == {7}
     errors = [np.abs(np.log(albedo) - truth)[middle].mean(1) for albedo in (before, after.albedo)]
@@ -122,6 +127,71 @@ def test_a_highlights_edge_is_no_paint():
     views = [photograph(p, str(n), spot if n == 0 else None) for n, p in enumerate(PLACES)]
     before, after = made_finer(views)
     assert after.mean() < 0.4 * before.mean()
+
+
+def speckled(points: np.ndarray, contrast: float = 0.5) -> np.ndarray:
+    """Albedo (N, 3) with eight waves a unit, which a mean over four solved texels evens out."""
+    return 0.4 * np.exp(contrast * np.sin(2 * np.pi * 8 * points[:, 0]))[:, None] * np.ones(3)
+
+
+def regained_by(
+    paint, albedo, irradiance=None, grain: float = 0.0
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Places (N, 3) well inside the floor, and log albedo there: as solved, and regained.
+
+    `paint` is what photographs show, by places; `albedo` and `irradiance` are solved.
+    """
+    mesh = floor()
+    inside, values = solved(mesh)
+    face, barycentric = rasterise_atlas(mesh, SOLVED)
+    position, _ = interpolate(mesh, face[inside], barycentric[inside].astype(np.float32))
+    values = replace(values, albedo=albedo(position).astype(np.float32))
+    if irradiance is not None:
+        values = replace(values, irradiance=irradiance(position).astype(np.float32))
+    rng, views = np.random.default_rng(5), []
+    for number, place in enumerate(PLACES):
+        view = photograph(place, str(number), paint=paint)
+        noisy = view.image_display + rng.normal(0, grain, view.image_display.shape)
+        views.append(replace(view, image_display=np.rint(noisy).clip(1, 254).astype(np.uint8)))
+    sharpest = SharpestViews((mesh, EmbreeTracer(mesh.vertices, mesh.faces)), views, CURVE)
+    after = regained(values, inside, sharpest, 0.004)
+    middle = (np.abs(position) < 0.8).all(1)
+    logs = (np.log(part.albedo[middle]) for part in (values, after))
+    return position[middle], *logs
+
+
+def test_speckles_that_the_mean_has_lost_come_back():
+    place, before, after = regained_by(speckled, lambda points: speckled(points, 0.1))
+    truth = np.log(speckled(place))
+    assert np.abs(after - truth).mean() < 0.45 * np.abs(before - truth).mean()
+
+
+def test_what_the_mean_has_kept_stays():
+    _, before, after = regained_by(speckled, speckled)
+    assert (before == after).all()
+
+
+def test_grain_of_photographs_is_no_detail():
+    def plain(points):
+        return np.full((len(points), 3), 0.4)
+
+    _, before, after = regained_by(plain, plain, grain=10.0)
+    assert np.abs(after - before).mean() < 0.01
+
+
+def test_an_edge_of_the_light_is_no_paint():
+    """Beside x = 0.1 half of the light is missing, which the solve knows or does not know."""
+
+    def plain(points):
+        return np.full((len(points), 3), 0.4)
+
+    def half(points):
+        return np.where(points[:, :1] < 0.1, 0.4, 0.2) * np.ones(3)
+
+    _, before, after = regained_by(half, plain, irradiance=half)
+    assert np.abs(after - before).max() < 0.02
+    _, before, after = regained_by(half, plain)
+    assert np.abs(after - before).max() > 0.1
 
 
 def test_a_texel_is_as_wide_as_a_pixel():

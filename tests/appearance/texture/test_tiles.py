@@ -11,7 +11,7 @@ from export.tiled_run import TILES
 
 from robir.appearance.config import AppearanceConfig
 from robir.appearance.render import AtlasLookup
-from robir.appearance.texture.detail import finer
+from robir.appearance.texture.detail import SharpestViews, finer
 from robir.appearance.texture.texels import TexelAlbedo
 from robir.appearance.texturing import most_side, solved_side
 from robir.geometry.mesh.isosurface import plain_mesh
@@ -84,11 +84,11 @@ def test_finer_texels_are_read_from_their_own_tile():
     flat = np.zeros(len(paint), np.float32)
     values = TexelAlbedo(
         albedo=paint, coverage=flat.astype(np.int64), disagreement=flat, read=paint, unknown=flat,
-        uncertainty=flat, roughness=flat, metallic=flat,
+        uncertainty=flat, roughness=flat, metallic=flat, irradiance=paint,
     )  # fmt: skip
     tracer = EmbreeTracer(mesh.vertices, mesh.faces)
-    photographs = ([], curve_from_name("standard"))
-    fine, after = finer(values, held, (mesh, tracer), photographs, 32)
+    nothing = SharpestViews((mesh, tracer), [], curve_from_name("standard"))
+    fine, after = finer(values, held, nothing, 32)
     is_left = np.nonzero(fine)[1] < 16
     assert is_left.any() and not is_left.all()
     expected = np.where(is_left[:, None], 0.2, 0.6) * np.ones(3)

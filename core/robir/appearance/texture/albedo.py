@@ -236,6 +236,7 @@ class TexelState:
             uncertainty=standard_error(self.spread, changed, self.coverage, distance),
             roughness=self.material.roughness.astype(np.float32),
             metallic=self.material.metallic.astype(np.float32),
+            irradiance=self.irradiance.astype(np.float32),
         )
 
 

@@ -62,86 +62,105 @@ _TOGETHER = 4  # photographs read at a time: each holds all texels
 _ROUNDS = 3  # how often the mean is found anew without those that disagree
 
 
+class SharpestViews:
+    """The photographs, and which of them resolve a spot of the surface best."""
+
+    def __init__(
+        self,
+        surface: tuple[Mesh, EmbreeTracer],
+        views: Sequence[View],
+        curve: AbstractToneCurve,
+    ) -> None:
+        """Of an unwrapped mesh, unit frame, with its tracer, and views, unit frame."""
+        self.mesh, tracer = surface
+        unit = Bounds(centre=np.zeros(3), radius=1.0, origin="")
+        sharp = np.minimum(relative_sharpness(views, unit), 1.0)
+        self._lenses = [
+            _Lens(view, tracer, curve, float(factor))
+            for view, factor in zip(views, sharp, strict=True)
+        ]
+
+    def texel(self, count: int) -> float:
+        """Width, unit frame, of so many texels that fill the charts."""
+        a, b, c = (self.mesh.vertices[self.mesh.faces[:, k]].astype(np.float64) for k in range(3))
+        area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
+        return math.sqrt(area / max(1, count))
+
+    @cached_property
+    def _best(self) -> Mask:
+        """Which photographs (F, V) may be among the best of a triangle's texels.
+
+        Those best at one of its corners; all of them where corners are seen by too few.
+        """
+        mesh, lenses = self.mesh, self._lenses
+        if len(lenses) <= _CANDIDATES:
+            return np.ones((len(mesh.faces), len(lenses)), bool)
+        vertices, normals = mesh.vertices.astype(np.float32), mesh.normals.astype(np.float32)
+        weight = np.stack(
+            side_by_side(lambda lens: lens.weights(vertices, normals), lenses), axis=1
+        )
+        least = np.partition(weight, -_CANDIDATES, axis=1)[:, -_CANDIDATES]
+        best = ((weight > 0) & (weight >= least[:, None]))[mesh.faces].any(axis=1)
+        best[best.sum(axis=1) < _BEST_VIEWS] = True
+        return best
+
+    def details(
+        self, where: tuple[NDArray[np.int32], Floats], widths: tuple[float, float]
+    ) -> tuple[Floats, Floats]:
+        """Weights (N, K) and logs (N, K, 3) of what the best views show over what lies about.
+
+        Of points by face (N,) and barycentric coordinates (N, 3), as means over squares of the
+        first width over those of the second, unit frame; 0 where fewer show the point well.
+        """
+        face, barycentric = where
+        position, normal = interpolate(self.mesh, face, barycentric)
+        weight = np.zeros((len(position), _BEST_VIEWS), np.float32)
+        detail = np.zeros((len(position), _BEST_VIEWS, 3), np.float32)
+        for some in blocks(len(self._lenses), _TOGETHER):
+            least = weight.min(1)
+
+            def read(
+                number: int, least: Floats = least
+            ) -> tuple[NDArray[np.int64], Floats, Floats]:
+                asked = np.flatnonzero(self._best[face, number])
+                points = position[asked], normal[asked]
+                texel, counts, own = self._lenses[number].read(points, least[asked], widths)
+                return asked[texel], counts, own
+
+            for texel, counts, own in side_by_side(read, range(len(self._lenses))[some]):
+                slot = weight[texel].argmin(1)
+                better = counts > weight[texel, slot]
+                texel, slot = texel[better], slot[better]
+                weight[texel, slot] = counts[better]
+                detail[texel, slot] = own[better]
+        return weight, detail
+
+
 def finer(
-    values: TexelAlbedo,
-    inside: Mask,
-    surface: tuple[Mesh, EmbreeTracer],
-    photographs: tuple[Sequence[View], AbstractToneCurve],
-    side: int,
+    values: TexelAlbedo, inside: Mask, views: SharpestViews, side: int
 ) -> tuple[Mask, TexelAlbedo]:
     """Texture values with the photographs' detail, and the filled texels (side, side).
 
-    Of values as solved, the texels (T, T) they belong to, the unwrapped mesh, unit frame, with its
-    tracer, and views, unit frame, with their tone curve. A side of no more than T leaves all as it
-    is.
+    Of values as solved and the texels (T, T) they belong to. A side of no more than T leaves all
+    as it is.
     """
     if side <= len(inside):
         return inside, values
-    mesh, tracer = surface
-    views, curve = photographs
-    face, barycentric = rasterise_atlas(mesh, side)
+    face, barycentric = rasterise_atlas(views.mesh, side)
     held = face >= 0
     rows, columns = np.nonzero(held)
     uv = np.stack([(columns + 0.5) / side, 1.0 - (rows + 0.5) / side], axis=1)
-    fine = _upsampled(values, inside, uv, mesh.cells)
-    where = (face[held], barycentric[held])
-    unit = Bounds(centre=np.zeros(3), radius=1.0, origin="")
-    sharp = np.minimum(relative_sharpness(views, unit), 1.0)
-    area = _area(mesh)
-    sizes = (math.sqrt(area / max(1, held.sum())), math.sqrt(area / max(1, inside.sum())))
-    lenses = [
-        _Lens(view, tracer, curve, (sizes, float(factor)))
-        for view, factor in zip(views, sharp, strict=True)
-    ]
-    albedo, best = fine.albedo.copy(), best_views(mesh, lenses)
+    fine = _upsampled(values, inside, uv, views.mesh.cells)
+    face, barycentric = face[held], barycentric[held].astype(np.float32)
+    widths = views.texel(len(face)), views.texel(int(inside.sum()))
+    albedo = fine.albedo.copy()
     for start in range(0, len(rows), BLOCK):
         part = slice(start, start + BLOCK)
-        position, normal = interpolate(mesh, where[0][part], where[1][part].astype(np.float32))
-        detail = detail_of(position, normal, lenses, best[where[0][part]])
+        detail = agreed(*views.details((face[part], barycentric[part]), widths))
         detail[fine.metallic[part] > 0.5] = 0.0
         made = albedo[part] * np.exp(detail)
         albedo[part] = made.clip(MIN_ALBEDO, MAX_ALBEDO)
     return held, replace(fine, albedo=albedo)
-
-
-def best_views(mesh: Mesh, lenses: Sequence[_Lens]) -> Mask:
-    """Which photographs (F, V) may be among the best of a triangle's texels.
-
-    Those best at one of its corners; all of them where corners are seen by too few.
-    """
-    if len(lenses) <= _CANDIDATES:
-        return np.ones((len(mesh.faces), len(lenses)), bool)
-    vertices, normals = mesh.vertices.astype(np.float32), mesh.normals.astype(np.float32)
-    weight = np.stack(side_by_side(lambda lens: lens.weights(vertices, normals), lenses), axis=1)
-    least = np.partition(weight, -_CANDIDATES, axis=1)[:, -_CANDIDATES]
-    best = ((weight > 0) & (weight >= least[:, None]))[mesh.faces].any(axis=1)
-    best[best.sum(axis=1) < _BEST_VIEWS] = True
-    return best
-
-
-def detail_of(position: Floats, normal: Floats, lenses: Sequence[_Lens], best: Mask) -> Floats:
-    """Log (N, 3) of what the best views show at texels over what they show about them.
-
-    Of positions, unit frame, unit normals (N, 3), and which photographs are asked (N, V); 0 where
-    no view shows the texel well.
-    """
-    weight = np.zeros((len(position), _BEST_VIEWS), np.float32)
-    detail = np.zeros((len(position), _BEST_VIEWS, 3), np.float32)
-    for some in blocks(len(lenses), _TOGETHER):
-        least = weight.min(1)
-
-        def read(number: int, least: Floats = least) -> tuple[NDArray[np.int64], Floats, Floats]:
-            asked = np.flatnonzero(best[:, number])
-            texel, counts, own = lenses[number].read(position[asked], normal[asked], least[asked])
-            return asked[texel], counts, own
-
-        for texel, counts, own in side_by_side(read, range(len(lenses))[some]):
-            slot = weight[texel].argmin(1)
-            better = counts > weight[texel, slot]
-            texel, slot = texel[better], slot[better]
-            weight[texel, slot] = counts[better]
-            detail[texel, slot] = own[better]
-    return agreed(weight, detail)
 
 
 def agreed(weight: Floats, detail: Floats) -> Floats:
@@ -181,13 +200,8 @@ def _upsampled(
         uncertainty=at(values.uncertainty),
         roughness=at(values.roughness),
         metallic=(at(values.metallic) > 0.5).astype(np.float32),
+        irradiance=at(values.irradiance),
     )
-
-
-def _area(mesh: Mesh) -> float:
-    """Area of the mesh, unit frame."""
-    a, b, c = (mesh.vertices[mesh.faces[:, k]].astype(np.float64) for k in range(3))
-    return float(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,10 +246,10 @@ class _Lens:
         view: View,
         tracer: EmbreeTracer,
         curve: AbstractToneCurve,
-        how: tuple[tuple[float, float], float],
+        sharpness: float,
     ) -> None:
         self._view, self._tracer, self._curve = view, tracer, curve
-        (self._fine, self._solved), self._sharpness = how
+        self._sharpness = sharpness
 
     @cached_property
     def _depth(self) -> Tensor:
@@ -252,21 +266,21 @@ class _Lens:
         return _Levels.of(radiance.float(), counts.float(), most)
 
     def read(
-        self, position: Floats, normal: Floats, least: Floats
+        self, points: tuple[Floats, Floats], least: Floats, widths: tuple[float, float]
     ) -> tuple[NDArray[np.int64], Floats, Floats]:
         """Texels (M,) that the photograph shows, their weights (M,), and their detail (M, 3).
 
-        Of those whose weight is above a least one (N,) only: others cost time and count nothing.
+        Of those, by position and normal (N, 3), whose weight is above a least one (N,) only:
+        others cost time and count nothing.
         """
-        texel, place, scale, counts = self._shown(position, normal)
+        texel, place, scale, counts = self._shown(*points)
         above = counts > torch.from_numpy(least[texel])
         texel, counts = texel[above.numpy()], counts[above]
         place, scale = place[above], scale[above]
         if not len(texel):
             return texel, np.zeros(0, np.float32), np.zeros((0, 3), np.float32)
-        levels = self._levels(self._solved * float(scale.max()))
-        fine = levels.read(place, self._fine * scale)
-        coarse = levels.read(place, self._solved * scale)
+        levels = self._levels(widths[1] * float(scale.max()))
+        fine, coarse = (levels.read(place, width * scale) for width in widths)
         kept = (fine[:, 3] > 0.99) & (coarse[:, 3] > 0.5)
         logs = [
             (layer[kept, :3] / layer[kept, 3:]).clamp(min=1e-4).log() for layer in (fine, coarse)

@@ -48,6 +48,7 @@ class TexelAlbedo:
     uncertainty: Floats  # (N,) float32, one standard error of log albedo, see `standard_error`
     roughness: Floats  # (N,) float32
     metallic: Floats  # (N,) float32, 0 or 1
+    irradiance: Floats  # (N, 3) float32, that arrives
 
 
 class Blend:
