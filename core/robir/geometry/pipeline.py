@@ -65,6 +65,7 @@ BRIGHTNESS: tuple[Step[Capture], ...] = (
 
 # distance from the plane within which a surface may be ground that the fit left bumpy (cells)
 _BUMPY = 4.0
+_UNSEEN = 0.1  # distance that fewer faces may move the surface (pixels of the finest photographs)
 _BUMPY_GAIN = 1.1  # times as many columns as are ground for certain from which that is asked
 
 
@@ -276,6 +277,11 @@ def _make_flat(state: PostProcessing) -> PostProcessing:
     return replace(state, mesh=mesh)
 
 
+def _decimate(state: PostProcessing) -> PostProcessing:
+    tolerance = 0.0 if state.judge is None else _UNSEEN * state.judge.pixel
+    return replace(state, mesh=decimate(state.mesh, state.dense.faces, tolerance))
+
+
 def _fill_pits(state: PostProcessing) -> PostProcessing:
     if state.judge is None:
         return state
@@ -294,7 +300,7 @@ POST_PROCESSING: tuple[Step[PostProcessing], ...] = (
         name="decimate",
         purpose="leaves the triangles that photographs resolve",
         source="quadric error metrics (Garland and Heckbert 1997)",
-        run=lambda state: replace(state, mesh=decimate(state.mesh, state.dense.faces)),
+        run=_decimate,
         is_on_trial=False,
     ),
     Step(

@@ -18,7 +18,7 @@ from robir.geometry.ground.flatten import Ground
 from robir.geometry.ground.plane import detect
 from robir.geometry.hull import HullCarver, carve, hull_of, mask_distance
 from robir.geometry.lattice import Lattice, interpolate, resample
-from robir.geometry.mesh.isosurface import extract, taubin
+from robir.geometry.mesh.isosurface import extract, plain_mesh, taubin
 from robir.geometry.mesh.simplify import decimate
 from robir.geometry.rays import ReducedPhoto, reduce_view
 from robir.geometry.stage import reconstruct
@@ -174,3 +174,21 @@ def test_small_fit_is_accurate() -> None:
     radius = np.linalg.norm(first.vertices, axis=1)
     assert abs(radius.mean() - 0.5) < 0.02 and radius.std() < 0.02
     assert first.is_unwrapped and metrics["faces"] <= 800
+
+
+def test_faces_follow_curvature():
+    """A chord of a sphere of radius R lies c^2 / (8 R) below it: faces grow as one over that."""
+    solid = trimesh.creation.icosphere(subdivisions=6, radius=1.0)
+    box = trimesh.creation.box((1.5, 1.0, 0.7))
+    for _ in range(6):
+        box = box.subdivide()
+    round_one, flat_one = (
+        plain_mesh(np.asarray(s.vertices), np.asarray(s.faces)) for s in (solid, box)
+    )
+    assert len(decimate(flat_one, 30_000, 1e-4).faces) <= 2000
+    fine, coarse = (decimate(round_one, 60_000, depth) for depth in (2e-4, 8e-4))
+    assert 2000 < len(coarse.faces) < 0.6 * len(fine.faces)
+    for mesh, depth in ((fine, 2e-4), (coarse, 8e-4)):
+        middles = mesh.vertices[mesh.faces].mean(axis=1)
+        below = 1 - np.linalg.norm(middles, axis=1)
+        assert np.quantile(below, 0.9) < 1.5 * depth

@@ -10,32 +10,60 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from robir.geometry.mesh.isosurface import compacted
+from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh, face_geometry
 
 _CREASE = 40.0  # faces that meet at a sharper angle do not share a normal (degrees)
 _SHARE_LEFT = 0.5  # share of the faces that one pass of decimation leaves
 # how steeply the library raises its threshold; low keeps edges, and stalls far from the aim
 _AGGRESSION = 3.0
+_FEWEST = 2000  # faces that a mesh keeps however flat it is
+_MOST_OFF = 0.98  # share of the vertices that must lie within a tolerance; rays miss some at edges
 
 
-def decimate(mesh: Mesh, face_budget: int) -> Mesh:
+def decimate(mesh: Mesh, face_budget: int, tolerance: float = 0.0) -> Mesh:
     """Collapse edges by quadric error until the face budget is met.
 
     Garland and Heckbert 1997, "Surface simplification using quadric error metrics". The
     library collapses what lies below a threshold that rises from sweep to sweep, not the cheapest
     edge first; one call from a dense mesh spends its collapses unevenly. Calls that halve the mesh
     start over with a low threshold each. Degenerate triangles and unused vertices go.
+
+    While the surface strays no farther than a tolerance, in the mesh's frame, it goes on to fewer
+    faces: a box needs few, a ball many.
     """
+    dense = mesh
     while len(mesh.faces) > face_budget:
-        target = max(face_budget, int(_SHARE_LEFT * len(mesh.faces)))
-        vertices, faces = fast_simplification.simplify(
-            mesh.vertices, mesh.faces, target_count=target, agg=_AGGRESSION
-        )
-        _, areas = face_geometry(vertices, faces)
-        before, mesh = mesh, compacted(vertices, faces[areas > 5e-13])
-        if len(mesh.faces) >= len(before.faces):  # nothing more can be collapsed
+        fewer = _collapsed(mesh, face_budget)
+        is_stuck = len(fewer.faces) >= len(mesh.faces)
+        mesh = fewer
+        if is_stuck:  # nothing more can be collapsed
             break
+    while tolerance and len(mesh.faces) > _FEWEST:
+        fewer = _collapsed(mesh, _FEWEST)
+        if len(fewer.faces) >= len(mesh.faces) or _strays(dense, fewer) > tolerance:
+            break
+        mesh = fewer
     return mesh
+
+
+def _collapsed(mesh: Mesh, least: int) -> Mesh:
+    """The mesh with half of its faces, or with the least number."""
+    target = max(least, int(_SHARE_LEFT * len(mesh.faces)))
+    vertices, faces = fast_simplification.simplify(
+        mesh.vertices, mesh.faces, target_count=target, agg=_AGGRESSION
+    )
+    _, areas = face_geometry(vertices, faces)
+    return compacted(vertices, faces[areas > 5e-13])
+
+
+def _strays(dense: Mesh, mesh: Mesh) -> float:
+    """Distance along normals that all but few vertices of a dense mesh lie off another."""
+    tracer = EmbreeTracer(mesh.vertices, mesh.faces)
+    apart = [
+        tracer.first_hits(dense.vertices, sign * dense.normals).distance for sign in (1.0, -1.0)
+    ]
+    return float(np.quantile(np.minimum(*apart), _MOST_OFF))
 
 
 def thinned(mesh: Mesh, face_budget: int) -> Mesh:
