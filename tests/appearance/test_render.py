@@ -60,11 +60,9 @@ def shown():
         coverage=np.ones(2, np.int64),
         disagreement=0 * texels,
         read=np.stack([PAINT, METAL]),
-        unknown=0 * texels,
         uncertainty=0 * texels,
         roughness=np.full(2, ROUGHNESS, np.float32),
         metallic=texels,
-        irradiance=np.ones((2, 3), np.float32),
     )
     import trimesh
 

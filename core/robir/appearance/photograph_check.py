@@ -330,7 +330,7 @@ def _joined(
             getattr(other.values, name),
             getattr(asset.values, name),
         )
-        for name in ("albedo", "disagreement", "read", "unknown", "uncertainty", "roughness",
+        for name in ("albedo", "disagreement", "read", "uncertainty", "roughness",
                      "metallic")
     }  # fmt: skip
     return replace(asset, specular=specular, values=replace(asset.values, **values))

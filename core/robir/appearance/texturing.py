@@ -24,7 +24,7 @@ from robir.capture.camera import Camera
 from robir.capture.capture import Capture, View
 from robir.capture.images.loading import resize_views
 from robir.geometry.mesh.tracer import EmbreeTracer
-from robir.geometry.mesh.triangles import Mesh
+from robir.geometry.mesh.triangles import Mesh, face_geometry
 from robir.geometry.mesh.unwrap import rasterise_atlas
 from robir.steps import Pipeline, Step
 from robir.transport.baked import Transport
@@ -76,8 +76,7 @@ def texture_side(mesh: Mesh, width: float, sizes: tuple[int, int]) -> int:
 
     The least of `sizes` doubled as often as it takes, and at most the most.
     """
-    a, b, c = (mesh.vertices[mesh.faces[:, k]].astype(np.float64) for k in range(3))
-    area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
+    area = face_geometry(mesh.vertices, mesh.faces)[1].sum()
     u, v, w = (mesh.uvs[mesh.uv_faces[:, k]].astype(np.float64) for k in range(3))
     (ax, ay), (bx, by) = (v - u).T, (w - u).T
     filled = 0.5 * np.abs(ax * by - ay * bx).sum()
@@ -180,7 +179,7 @@ def _refine_detail(state: Texture) -> Texture:
     side = texture_side(state.mesh, width, (len(state.inside), most))
     photographs = spread_views(state.capture.train, _DETAIL_VIEWS)
     views = SharpestViews((state.mesh, state.tracer), photographs, state.problem.curve)
-    values = regained(state.values, state.inside, views, width)
+    values = regained(state.values, state.atlas, views, width)
     inside, values = finer(values, state.inside, views, side)
     return replace(state, inside=inside, values=values)
 

@@ -39,7 +39,7 @@ STEREO, HULL, FIELD = "by depth maps", "by masks alone", "by a fit of field and 
 # standard errors by which a surface must lead that bends e times as much: a fit full of pits
 # bends 2 to 3.4 times as much as depth maps
 _BENT = 5.0
-# lead, bending counted, from which a refined surface keeps its relief: the house has 5.9, twelve
+# lead, bending counted, from which a refined surface keeps its relief: the house has 5.9, eleven
 # round and plain things have -5.8 to 2.7, and are better without
 _RELIEF = 4.0
 # rounds of Taubin smoothing that take the steps of the cells out of an extracted surface

@@ -80,7 +80,6 @@ def solved(mesh: Mesh) -> tuple[np.ndarray, TexelAlbedo]:
         coverage=np.full(count, 7),
         disagreement=flat,
         read=means[inside].astype(np.float32),
-        unknown=flat,
         uncertainty=flat,
         roughness=flat,
         metallic=np.zeros(count, np.float32),
@@ -144,7 +143,8 @@ def regained_by(
     mesh = floor()
     inside, values = solved(mesh)
     face, barycentric = rasterise_atlas(mesh, SOLVED)
-    position, _ = interpolate(mesh, face[inside], barycentric[inside].astype(np.float32))
+    where = face[inside], barycentric[inside].astype(np.float32)
+    position, _ = interpolate(mesh, *where)
     values = replace(values, albedo=albedo(position).astype(np.float32))
     if irradiance is not None:
         values = replace(values, irradiance=irradiance(position).astype(np.float32))
@@ -154,7 +154,7 @@ def regained_by(
         noisy = view.image_display + rng.normal(0, grain, view.image_display.shape)
         views.append(replace(view, image_display=np.rint(noisy).clip(1, 254).astype(np.uint8)))
     sharpest = SharpestViews((mesh, EmbreeTracer(mesh.vertices, mesh.faces)), views, CURVE)
-    after = regained(values, inside, sharpest, 0.004)
+    after = regained(values, where, sharpest, 0.004)
     middle = (np.abs(position) < 0.8).all(1)
     logs = (np.log(part.albedo[middle]) for part in (values, after))
     return position[middle], *logs

@@ -232,7 +232,6 @@ class TexelState:
             coverage=self.coverage,
             disagreement=self.disagreement.astype(np.float32),
             read=self.albedo.astype(np.float32),
-            unknown=self.unknown.astype(np.float32),
             uncertainty=standard_error(self.spread, changed, self.coverage, distance),
             roughness=self.material.roughness.astype(np.float32),
             metallic=self.material.metallic.astype(np.float32),

@@ -32,7 +32,7 @@ from robir.capture.checks.coverage import relative_sharpness
 from robir.capture.images.loading import resize_view
 from robir.geometry.mesh.tiles import sample_texture
 from robir.geometry.mesh.tracer import EmbreeTracer
-from robir.geometry.mesh.triangles import Mesh
+from robir.geometry.mesh.triangles import Mesh, face_geometry
 from robir.geometry.mesh.unwrap import rasterise_atlas
 from robir.maths.tone_curve import AbstractToneCurve
 from robir.transport.observe import MASK_INSIDE, clean_pixels
@@ -79,12 +79,11 @@ class SharpestViews:
             _Lens(view, tracer, curve, float(factor))
             for view, factor in zip(views, sharp, strict=True)
         ]
+        self._area = float(face_geometry(self.mesh.vertices, self.mesh.faces)[1].sum())
 
     def texel(self, count: int) -> float:
         """Width, unit frame, of so many texels that fill the charts."""
-        a, b, c = (self.mesh.vertices[self.mesh.faces[:, k]].astype(np.float64) for k in range(3))
-        area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
-        return math.sqrt(area / max(1, count))
+        return math.sqrt(self._area / max(1, count))
 
     @cached_property
     def _best(self) -> Mask:
@@ -114,6 +113,7 @@ class SharpestViews:
         """
         face, barycentric = where
         position, normal = interpolate(self.mesh, face, barycentric)
+        best = self._best  # here, as threads would find it each for itself
         weight = np.zeros((len(position), _BEST_VIEWS), np.float32)
         detail = np.zeros((len(position), _BEST_VIEWS, 3), np.float32)
         for some in blocks(len(self._lenses), _TOGETHER):
@@ -122,7 +122,7 @@ class SharpestViews:
             def read(
                 number: int, least: Floats = least
             ) -> tuple[NDArray[np.int64], Floats, Floats]:
-                asked = np.flatnonzero(self._best[face, number])
+                asked = np.flatnonzero(best[face, number])
                 points = position[asked], normal[asked]
                 texel, counts, own = self._lenses[number].read(points, least[asked], widths)
                 return asked[texel], counts, own
@@ -196,11 +196,9 @@ def _upsampled(
         coverage=np.rint(at(values.coverage)).astype(np.int64),
         disagreement=at(values.disagreement),
         read=at(values.read),
-        unknown=at(values.unknown),
         uncertainty=at(values.uncertainty),
         roughness=at(values.roughness),
         metallic=(at(values.metallic) > 0.5).astype(np.float32),
-        irradiance=at(values.irradiance),
     )
 
 

@@ -23,14 +23,12 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from robir.appearance.texture.detail import SharpestViews, agreed
-from robir.appearance.texture.residual_shading import with_normals
+from robir.appearance.texture.residual_shading import nearest, with_normals
 from robir.appearance.texture.texels import MAX_ALBEDO, MIN_ALBEDO, TexelAlbedo
-from robir.geometry.mesh.unwrap import rasterise_atlas
 from robir.transport.surfels import interpolate
 from robir.workers import num_workers
 
 Floats = NDArray[np.float32]
-Mask = NDArray[np.bool_]
 
 _WIDTH = 4.0  # over which the mean's colours are kept (texels)
 _PIXELS = 3.0  # the same where pixels are wider than texels
@@ -46,13 +44,19 @@ _UNSEEN = 0.03  # log contrast of detail at which half of it is taken: nobody se
 _SHADOW = 0.05  # change of log irradiance within the width from which detail may be a shadow's
 
 
-def regained(values: TexelAlbedo, inside: Mask, views: SharpestViews, pixel: float) -> TexelAlbedo:
-    """Values of the texels (T, T) with detail that the best photographs share and they lack.
+def regained(
+    values: TexelAlbedo,
+    where: tuple[NDArray[np.int32], Floats],
+    views: SharpestViews,
+    pixel: float,
+) -> TexelAlbedo:
+    """Values of solved texels with detail that the best photographs share and they lack.
 
-    `pixel` is the width of a photograph's pixel on the surface, unit frame.
+    `where` is their face (N,) and barycentric coordinates (N, 3), and `pixel` the width of a
+    photograph's pixel on the surface, unit frame.
     """
-    face, barycentric = rasterise_atlas(views.mesh, len(inside))
-    where = face[inside], barycentric[inside].astype(np.float32)
+    if values.irradiance is None:
+        raise RuntimeError("these texels are finer than light was solved for")
     texel = views.texel(len(where[0]))
     width = float(np.clip(_PIXELS * pixel / texel, _WIDTH, _MOST_WIDTH)) * texel
     position, normal = interpolate(views.mesh, *where)
@@ -64,8 +68,7 @@ def regained(values: TexelAlbedo, inside: Mask, views: SharpestViews, pixel: flo
     count = (weights > 0).sum(1)
     told = count > 1
     # of all ordered pairs of photographs
-    total = (shown * (weights > 0)[..., None]).sum(1)
-    products = (total**2).sum(1) - (shown**2 * (weights > 0)[..., None]).sum((1, 2))
+    products = (shown.sum(1) ** 2).sum(1) - (shown**2).sum((1, 2))
     parts = (products, count * (count - 1), (detail**2).sum(1), (own**2).sum(1), 1)
     sums = _summed_about(points, [np.where(told, part, 0) for part in parts])
     shared = (sums[0] / np.maximum(sums[1], 1)).clip(1e-9)
@@ -119,7 +122,6 @@ class _Around:
 def _summed_about(points: Floats, parts: list[NDArray[np.floating]]) -> list[Floats]:
     """Sums (N,) of some parts (N,) over the surroundings of points (N, 6)."""
     nodes = np.arange(0, len(points), _EVERY)
-    tree = cKDTree(points[nodes])
-    about = tree.query(points[nodes], min(_ABOUT, len(nodes)), eps=0.3, workers=num_workers())[1]
-    nearest = tree.query(points, eps=0.3, workers=num_workers())[1]
-    return [part[nodes][about.reshape(len(nodes), -1)].sum(1)[nearest] for part in parts]
+    about = nearest(points[nodes], points[nodes], min(_ABOUT, len(nodes)), np.inf)[1]
+    own = nearest(points, points[nodes], 1, np.inf)[1]
+    return [part[nodes][about.reshape(len(nodes), -1)].sum(1)[own] for part in parts]

@@ -61,7 +61,7 @@ def smoothed_albedo(albedo: Floats, unknown: Floats, points: Floats, step: int) 
     """
     nodes = np.arange(0, len(points), step)
     afar = np.arange(0, len(nodes), step)
-    distance, index = _nearest(points[nodes], points[nodes[afar]], _COUNT, _REACH)
+    distance, index = nearest(points[nodes], points[nodes[afar]], _COUNT, _REACH)
     other = afar[index]
     before = smooth = np.log(albedo[nodes].T.astype(np.float32))
     doubt = unknown[nodes].astype(np.float32)
@@ -79,7 +79,7 @@ def smoothed_albedo(albedo: Floats, unknown: Floats, points: Floats, step: int) 
 
     for _ in range(_ROUNDS):
         smooth = np.concatenate(side_by_side(partial(drawn, smooth), parts), axis=1)
-    distance, index = _nearest(points, points[nodes], _BLURRED, 3 * _MESH_ERROR)
+    distance, index = nearest(points, points[nodes], _BLURRED, 3 * _MESH_ERROR)
     weight = np.exp(-(distance**2) / (2 * _MESH_ERROR**2))
     change = np.einsum("nk,nkc->nc", weight, (smooth - before).T[index])
     return albedo * np.exp(change / weight.sum(1, keepdims=True).clip(1e-9))
@@ -98,7 +98,7 @@ def _drawn_together(own: tuple[Floats, Floats, Floats], about: Floats, known: Fl
     return np.log((np.exp(log) * certainty + around) / (certainty + weight.sum(1)))
 
 
-def _nearest(
+def nearest(
     points: Floats, others: Floats, count: int, reach: float
 ) -> tuple[Floats, NDArray[np.int64]]:
     """Distances and indices (N, count) of the nearest within reach; infinite, 0 beyond."""

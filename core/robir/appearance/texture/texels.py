@@ -44,11 +44,11 @@ class TexelAlbedo:
     # (N,) float32, one standard deviation of log albedo by views, shadow edges and dim light
     disagreement: Floats
     read: Floats  # (N, 3) float32, albedo before smoothing
-    unknown: Floats  # (N,) float32, one standard deviation of its logarithm
     uncertainty: Floats  # (N,) float32, one standard error of log albedo, see `standard_error`
     roughness: Floats  # (N,) float32
     metallic: Floats  # (N,) float32, 0 or 1
-    irradiance: Floats  # (N, 3) float32, that arrives
+    # (N, 3) float32, what arrives; None at texels finer than those that were solved
+    irradiance: Floats | None = None
 
 
 class Blend:
