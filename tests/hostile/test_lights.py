@@ -25,8 +25,9 @@ def light(value=1.0):
 
 
 def test_light_is_taken(tmp_path):
-    write_exr(tmp_path / "light.exr", light(60_000.0))
-    refuse_light(tmp_path / "light.exr")
+    for value in (60_000.0, -1e-3):  # the latter of a colour outside of Rec.709
+        write_exr(tmp_path / "light.exr", light(value))
+        refuse_light(tmp_path / "light.exr")
     (tmp_path / "light.hdr").write_bytes(b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 8 +X 16\n")
     refuse_light(tmp_path / "light.hdr")
 

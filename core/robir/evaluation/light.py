@@ -112,6 +112,9 @@ def read_exr(path: Path, most: int = _MAX_NUMBERS) -> dict[str, NDArray[np.float
 
 MOST_TEXELS = 8192 * 4096  # Blender takes sixteen bytes for each, twice while it reads them
 _MOST_RADIANCE = 1e12  # W/(m2 sr), above any light; sums of larger ones are no numbers
+# of the light that may lie below 0: colours outside of Rec.709, as Blender's own maps have, come
+# to a millionth
+_MOST_BELOW = 1e-3
 _HDR_HEAD_BYTES = 1 << 16
 _HDR_SIZE = re.compile(rb"\n[-+][XY] (\d{1,9}) [-+][XY] (\d{1,9})\n")
 
@@ -138,8 +141,12 @@ def _exr_fault(path: Path) -> str:
     for name in colours:
         if not np.isfinite(image[name]).all():
             return f"its channel {name} holds numbers that are not finite"
-        if image[name].min() < 0 or image[name].max() > _MOST_RADIANCE:
-            low, high = image[name].min(), image[name].max()
+        low, high = image[name].min(), image[name].max()
+        below = -image[name].clip(max=0).sum(dtype=np.float64)
+        if (
+            below > _MOST_BELOW * image[name].clip(min=0).sum(dtype=np.float64)
+            or high > _MOST_RADIANCE
+        ):
             return f"its channel {name} goes from {low:g} to {high:g}"
     return ""
 
