@@ -244,7 +244,7 @@ def test_the_rivals_take_the_place_of_a_worse_field_alone(capture, photos, monke
     depths = stereo_surface(photos, hull, holds_masks=True)  # the same for both fields
     monkeypatch.setattr(selection, "stereo_surface", lambda *_, **__: depths)
     for dents, wins in ((0.0, False), (0.05, True)):
-        rival = Selection(capture.train, photos, (hull, hull), CONFIG, holds_masks=True)
+        rival = Selection(capture.train, photos, (hull, hull), CONFIG)
         field = Sampled(lattice, radius - RADIUS + dents * waves(lattice))
         assert rival.has_better(field) == (rival.best is not None) == wins
         assert not rival.has_better(field), "only the first level is compared"
@@ -254,7 +254,7 @@ def test_the_rivals_take_the_place_of_a_worse_field_alone(capture, photos, monke
     assert 1000 < len(mesh.faces) <= 24000
     assert roughness(mesh) < 0.02
     off = replace(CONFIG, stereo_side=0)
-    silent = Selection(capture.train, photos, (hull, hull), off, holds_masks=True)
+    silent = Selection(capture.train, photos, (hull, hull), off)
     assert not silent.has_better(field)
 
 
@@ -276,6 +276,6 @@ def test_the_true_surface_is_better_and_print_is_no_mirror(capture, photos):
         Sampled(lattice, radius - RADIUS + dents * waves(lattice)) for dents in (0.0, 0.05)
     )
     hull = Sampled(lattice, radius - 0.63)
-    judge = Selection(capture.train, photos, (hull, hull), CONFIG, holds_masks=True)
+    judge = Selection(capture.train, photos, (hull, hull), CONFIG)
     assert judge.is_better(true, dented) and not judge.is_better(dented, true)
     assert not judge.is_mirror(true)

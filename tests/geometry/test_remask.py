@@ -16,9 +16,10 @@ from robir.capture.capture import GUESSED_MASKS, Bounds, Capture, Finding, View
 from robir.capture.store import load_settled, save_capture, save_masks
 from robir.capture.support import Plane
 from robir.errors import StorageError
-from robir.geometry import hull
+from robir.geometry import hull, remask
 from robir.geometry.config import GeometryConfig
 from robir.geometry.hull import HullCarver, object_hull
+from robir.geometry.lattice import Sampled
 from robir.geometry.rays import reduce_view
 from robir.geometry.remask import remasked
 from robir.jobs.paths import JobPaths
@@ -78,6 +79,41 @@ def test_masks_come_nearer_to_the_silhouettes(guessed, shots, monkeypatch):
     assert np.median(after) > 0.97 > np.median(before)
     assert after.min() > 0.9 > before.min()
     assert heard[-1] == 1.0
+
+
+def test_a_part_that_one_mask_misses_is_put_back(shots, guessed, monkeypatch):
+    monkeypatch.setattr(remask, "_ROUNDS", 0)
+    views = [
+        replace(view, mask=np.where(shot.truth, np.uint8(255), np.uint8(0)))
+        for view, shot in zip(guessed.views, shots, strict=True)
+    ]
+    columns = np.flatnonzero(shots[11].truth.any(axis=0))
+    views[11].mask[:, columns[: len(columns) // 3]] = 0
+    capture = replace(guessed, views=tuple(views))
+    after = overlaps(remasked(capture.normalised(), CONFIG, lambda _: None), shots)
+    assert overlaps(capture, shots)[11] < 0.75
+    assert after[11] > 0.93
+    assert np.delete(after, 11).min() > 0.96
+
+
+def test_a_part_that_depth_maps_lose_comes_back_for_its_edge(shots, guessed, monkeypatch):
+    def without_ball(_photos: object, hull: Sampled, _coarseness: float) -> Sampled:
+        """The hull up to the height of the box; the upper half of the ball is lost."""
+        height = hull.lattice.nodes()[:, 2] * 0.9 + 0.45
+        return Sampled(hull.lattice, torch.maximum(hull.values, height - 0.5))
+
+    def plain(view: View, truth: np.ndarray) -> View:
+        colours = np.where(truth[..., None], np.uint8([150, 60, 40]), view.image_display)
+        return replace(view, image_display=colours)
+
+    monkeypatch.setattr(remask, "stereo_surface", without_ball)
+    pairs = zip(guessed.views, shots, strict=True)
+    views = tuple(plain(view, shot.truth) for view, shot in pairs)
+    unit = replace(guessed, views=views).normalised()
+    after = overlaps(remasked(unit, CONFIG, lambda _: None), shots)
+    assert np.median(after) > 0.93
+    monkeypatch.setattr(remask, "_FIRMER", np.inf)
+    assert np.median(overlaps(remasked(unit, CONFIG, lambda _: None), shots)) < 0.85
 
 
 def test_the_hull_of_guessed_masks_ends_above_the_table(guessed, monkeypatch):

@@ -14,7 +14,6 @@ from torch.nn.functional import grid_sample
 
 from robir.capture.camera import Camera
 from robir.capture.capture import Capture
-from robir.capture.masks.guess import DISSENT
 from robir.errors import CaptureError
 from robir.geometry.lattice import Lattice, Sampled, resample
 from robir.geometry.rays import ReducedPhoto
@@ -87,18 +86,18 @@ class HullCarver:
             yield torch.where(local[2] < 0, pixels * scale, BEHIND)
 
 
-def hull_of(photos: list[ReducedPhoto], *, guessed: bool = False) -> HullCarver:
+def hull_of(photos: list[ReducedPhoto], dissent: float = 0.0) -> HullCarver:
     """The visual hull of photographs that lie far from each other.
 
-    Where masks were guessed some may be wrong at any point: as many as in the last round of
-    guessing, one at least.
+    Where masks were guessed some may be wrong at any point: a share, one of them at least, may
+    then call it background.
     """
     positions = np.stack([photo.camera.position for photo in photos])
     kept = [photos[k] for k in farthest_points(positions, HULL_VIEWS)]
     return HullCarver(
         [photo.camera for photo in kept],
         [photo.coverage for photo in kept],
-        outvoted=max(1, round(DISSENT[-1] * len(kept))) if guessed else 0,
+        outvoted=max(1, round(dissent * len(kept))) if dissent else 0,
     )
 
 
@@ -130,15 +129,15 @@ def carve(carver: HullCarver, cells: int) -> Sampled:
 
 
 def object_hull(
-    capture: Capture, photos: list[ReducedPhoto], cells: int, *, guessed: bool = False
+    capture: Capture, photos: list[ReducedPhoto], cells: int, dissent: float = 0.0
 ) -> Sampled:
     """The visual hull that a surface begins with: above the table where masks were guessed.
 
     What a shadow falls on has other colours than the rest of the table, and depth maps see a
-    surface there as well: nothing but its height tells it from the object. `guessed` is as for
-    `hull_of`: masks that were cut again agree, and a hull that some may not bound has notches.
+    surface there as well: nothing but its height tells it from the object. `dissent` is as for
+    `hull_of`: a hull that some masks may not bound has notches.
     """
-    carver = hull_of(photos, guessed=guessed)
+    carver = hull_of(photos, dissent)
     lattice, values = carve(carver, cells)
     if capture.has_guessed_masks and capture.table is not None:
         height = capture.table.height(lattice.nodes().double().numpy())

@@ -4,6 +4,10 @@
 Depth maps of small photographs, in a hull that a few masks may not cut alone, are good enough to
 say where the object ends to within a few pixels; within these colours and edges decide. The masks
 so cut give the next hull.
+
+Depth maps lose what mirrors, and a mask that misses a part would cut it off for good. So parts that
+were guessed, and end at stronger edges than they begin at, count as the object again, and what
+nearly all masks show is put back into the others.
 """
 
 from __future__ import annotations
@@ -15,17 +19,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robir.capture.capture import Capture, View
-from robir.capture.masks.guess import SIDE, Picture, recut, reduced, sharpened
+from robir.capture.images.opencv import cv2
+from robir.capture.masks.guess import DISSENT, SIDE, Picture, recut, reduced, sharpened
 from robir.geometry.config import GeometryConfig
 from robir.geometry.hull import mask_distance, object_hull
+from robir.geometry.lattice import Sampled
 from robir.geometry.mesh.tracer import EmbreeTracer
-from robir.geometry.rays import reduce_view
+from robir.geometry.mesh.triangles import Mesh
+from robir.geometry.rays import ReducedPhoto, reduce_view
 from robir.geometry.selection import smooth_surface
 from robir.geometry.stereo.fusion import entry_depth, stereo_surface
+from robir.workers import side_by_side
+
+Bytes = NDArray[np.uint8]
+Layer = NDArray[np.float32]
+Mask = NDArray[np.bool_]
 
 # size of the photographs and of the lattice for these surfaces, as a share of the final ones
 _COARSENESS = 0.64
 _ROUNDS = 2  # surfaces and cuts, in turns
+# share of the masks that may miss a part of the object, and how deep within the hull of the others
+# it is put back into them (pixels, where the longer side has `SIDE`)
+_MISSING, _DEEP = 0.1, 1.0
+_LEAST_PART = 0.01  # of the mask, from which a guessed part is looked at
+_FIRMER = 1.2  # how much stronger the edge that it ends at is than the edge that it begins at
+_BLUR = 1.5  # standard deviation of the blur before edges are measured (pixels)
+_NEAR = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))  # how far from a part its border is
 
 
 def remasked(
@@ -34,14 +53,74 @@ def remasked(
     """A capture, whose masks were guessed, with masks cut again, the held-out views' too."""
     side = round(_COARSENESS * config.stereo_side)
     pictures = reduced(capture.views, SIDE)
+    photos, hull = _hull(capture, side, config, DISSENT)
+    guessed = _outlines(smooth_surface(hull), pictures)
     for number in range(_ROUNDS):
-        photos = [reduce_view(view, side) for view in capture.train]
-        hull = object_hull(capture, photos, config.hull_cells, guessed=True)
+        if number:
+            photos, hull = _hull(capture, side, config, DISSENT)
         mesh = smooth_surface(stereo_surface(photos, hull, _COARSENESS))
         tracer = EmbreeTracer(mesh.vertices, mesh.faces)
         capture = replace(capture, views=cut_about(tracer, capture.views, pictures))
         progress((number + 1) / _ROUNDS)
-    return capture
+    parts = side_by_side(_parts, zip(capture.views, guessed, pictures, strict=True))
+    pairs = zip(capture.views, parts, strict=True)
+    more = replace(capture, views=tuple(_with_more(view, part) for view, part in pairs))
+    _, hull = _hull(more, side, config, _MISSING)
+    common = zip(capture.views, _outlines(smooth_surface(hull), pictures), strict=True)
+    views = tuple(_with_more(view, outline < -_DEEP) for view, outline in common)
+    return replace(capture, views=views)
+
+
+def _hull(
+    capture: Capture, side: int, config: GeometryConfig, dissent: float
+) -> tuple[list[ReducedPhoto], Sampled]:
+    """Small photographs and the hull of their masks that a share of them may cut."""
+    photos = [reduce_view(view, side) for view in capture.train]
+    return photos, object_hull(capture, photos, config.hull_cells, dissent)
+
+
+def _outlines(mesh: Mesh, pictures: Sequence[Picture]) -> list[Layer]:
+    """Signed distances (H, W), pixels, from a mesh's outline in each, negative inside."""
+    tracer = EmbreeTracer(mesh.vertices, mesh.faces)
+    shown = [np.isfinite(entry_depth(tracer, picture.camera)) for picture in pictures]
+    return [mask_distance(one.astype(np.float32)) for one in shown]
+
+
+def _parts(item: tuple[View, Layer, Picture]) -> Mask:
+    """Pixels (h, w) of parts beside a view's mask, which a guess expects, that end at firmer edges.
+
+    By the signed distance (h, w) from the guessed outline, in a small picture.
+    """
+    view, guessed, picture = item
+    held = cv2.resize(view.mask, guessed.shape[::-1], interpolation=cv2.INTER_AREA) > 127
+    beside = (guessed < 0) & ~held
+    beside = cv2.morphologyEx(beside.astype(np.uint8), cv2.MORPH_OPEN, _NEAR) == 1
+    by_mask, by_rest = (
+        cv2.dilate(own.astype(np.uint8), _NEAR) == 1 for own in (held, ~held & (guessed >= 0))
+    )
+    edges = _edges(picture.lab)
+    _, parts, facts, _ = cv2.connectedComponentsWithStats(beside.astype(np.uint8), connectivity=8)
+    found = np.zeros_like(held)
+    for number in np.flatnonzero(facts[:, cv2.CC_STAT_AREA] >= _LEAST_PART * held.sum()):
+        part = beside & (parts == number)
+        begins, ends = edges[part & by_mask], edges[part & by_rest]
+        if len(begins) and len(ends) and ends.mean() > _FIRMER * begins.mean():
+            found |= part
+    return found
+
+
+def _edges(lab: Bytes) -> Layer:
+    """Length (h, w) of the gradient of a picture's colours, CIE L*a*b* codes."""
+    smooth = cv2.GaussianBlur(lab.astype(np.float32), (0, 0), _BLUR)
+    slopes = [cv2.Scharr(smooth, -1, *axis) for axis in ((1, 0), (0, 1))]
+    return np.sqrt(sum((slope**2).sum(axis=2) for slope in slopes)) / 32
+
+
+def _with_more(view: View, more: Mask) -> View:
+    """A view whose mask holds more, which is said at a smaller size (h, w)."""
+    size = view.mask.shape[::-1]
+    large = cv2.resize(more.astype(np.float32), size, interpolation=cv2.INTER_LINEAR) > 0.5
+    return replace(view, mask=np.where(large, np.uint8(255), view.mask))
 
 
 def cut_about(

@@ -119,8 +119,7 @@ class Selection:
     """Compares surfaces by photographs, unit frame, and selects the one that goes on.
 
     `hulls` are the visual hull, with ground if there is one, and as masks alone have it; `photos`
-    the views at the size that surfaces are compared at; `holds_masks` says whether masks were
-    given, so that the object is wherever they show it. `best` goes on instead of the fit, None
+    the views at the size that surfaces are compared at. `best` goes on instead of the fit, None
     where that does; `choices` are what was compared, for the report.
     """
 
@@ -130,11 +129,9 @@ class Selection:
         photos: list[ReducedPhoto],
         hulls: tuple[Sampled, Sampled],
         config: GeometryConfig,
-        *,
-        holds_masks: bool,
     ) -> None:
         self._views, self._coarse = views, PhotographJudge(photos)
-        self._hulls, self._config, self._holds_masks = hulls, config, holds_masks
+        self._hulls, self._config = hulls, config
         self._is_done = config.stereo_side == 0
         self._stereo: Callable[[], Sampled] | None = None  # what gives the depth maps begun
         self.best: SurfaceCandidate | None = None
@@ -152,7 +149,7 @@ class Selection:
 
     def _by_depth_maps(self) -> Sampled:
         compared = self._reduced(self._config.stereo_side)
-        return stereo_surface(compared, self._hulls[0], holds_masks=self._holds_masks)
+        return stereo_surface(compared, self._hulls[0], holds_masks=True)
 
     def _reduced(self, side: int) -> list[ReducedPhoto]:
         return side_by_side(lambda view: reduce_view(view, side), self._views)
