@@ -30,7 +30,7 @@ from robir.geometry.refine.correlation import (
 )
 from robir.geometry.refine.step import ThinPlate, refine
 from robir.geometry.selection import STEREO, PhotographJudge, Selection, bending
-from robir.geometry.stereo.fusion import stereo_surface
+from robir.geometry.stereo.fusion import stereo_surfaces
 from robir.geometry.stereo.sweep import StereoPicture
 from robir.steps import Pipeline
 
@@ -238,13 +238,26 @@ def waves(lattice):
     return torch.cos(9 * nodes[:, 0]) * torch.cos(9 * nodes[:, 1])
 
 
+@pytest.mark.parametrize(("dents", "given", "holds"), [(0.0, 0, 1), (0.05, 0, 0), (0.05, 1, 1)])
+def test_guessed_masks_are_held_unless_photographs_are_against_it(
+    capture, photos, monkeypatch, dents, given, holds
+):
+    lattice, radius = lattice_and_radius()
+    hull = Sampled(lattice, radius - 0.63)
+    free = Sampled(lattice, radius - RADIUS)
+    held = Sampled(lattice, radius - RADIUS + dents * waves(lattice))
+    monkeypatch.setattr(selection, "stereo_surfaces", lambda *_: (free, held))
+    rival = Selection(capture.train, photos, (hull, hull), CONFIG, holds_masks=bool(given))
+    assert rival._by_depth_maps() is (held if holds else free)
+
+
 def test_the_rivals_take_the_place_of_a_worse_field_alone(capture, photos, monkeypatch):
     lattice, radius = lattice_and_radius()
     hull = Sampled(lattice, radius - 0.63)
-    depths = stereo_surface(photos, hull, holds_masks=True)  # the same for both fields
-    monkeypatch.setattr(selection, "stereo_surface", lambda *_, **__: depths)
+    depths = tuple(stereo_surfaces(photos, hull))  # the same for both fields
+    monkeypatch.setattr(selection, "stereo_surfaces", lambda *_: depths)
     for dents, wins in ((0.0, False), (0.05, True)):
-        rival = Selection(capture.train, photos, (hull, hull), CONFIG)
+        rival = Selection(capture.train, photos, (hull, hull), CONFIG, holds_masks=True)
         field = Sampled(lattice, radius - RADIUS + dents * waves(lattice))
         assert rival.has_better(field) == (rival.best is not None) == wins
         assert not rival.has_better(field), "only the first level is compared"
@@ -254,7 +267,7 @@ def test_the_rivals_take_the_place_of_a_worse_field_alone(capture, photos, monke
     assert 1000 < len(mesh.faces) <= 24000
     assert roughness(mesh) < 0.02
     off = replace(CONFIG, stereo_side=0)
-    silent = Selection(capture.train, photos, (hull, hull), off)
+    silent = Selection(capture.train, photos, (hull, hull), off, holds_masks=True)
     assert not silent.has_better(field)
 
 
@@ -276,6 +289,6 @@ def test_the_true_surface_is_better_and_print_is_no_mirror(capture, photos):
         Sampled(lattice, radius - RADIUS + dents * waves(lattice)) for dents in (0.0, 0.05)
     )
     hull = Sampled(lattice, radius - 0.63)
-    judge = Selection(capture.train, photos, (hull, hull), CONFIG)
+    judge = Selection(capture.train, photos, (hull, hull), CONFIG, holds_masks=True)
     assert judge.is_better(true, dented) and not judge.is_better(dented, true)
     assert not judge.is_mirror(true)

@@ -219,7 +219,13 @@ class Levels:
         self.backdrop, self._hull = start.backdrop, start.hull
         by_masks = start.hull if start.backdrop is None else hull
         self.begun = Sampled(hull.lattice, start.distances)
-        self.selection = Selection(capture.train, photos, (self.begun, by_masks), config)
+        self.selection = Selection(
+            capture.train,
+            photos,
+            (self.begun, by_masks),
+            config,
+            holds_masks=not capture.has_guessed_masks,
+        )
         cameras = [photo.camera for photo in photos]
         self._mirroring = Mirroring(cameras, self.begun, self.selection)
 

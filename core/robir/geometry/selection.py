@@ -30,7 +30,7 @@ from robir.geometry.prediction import Predictions, lead
 from robir.geometry.rays import ReducedPhoto, reduce_view
 from robir.geometry.refine.correlation import pixel_size
 from robir.geometry.refine.step import FLAT, refine
-from robir.geometry.stereo.fusion import stereo_surface
+from robir.geometry.stereo.fusion import stereo_surfaces
 from robir.jobs.context import Choice
 from robir.workers import meanwhile, side_by_side
 
@@ -48,6 +48,8 @@ _SMOOTH_ROUNDS = 5
 _WITHIN_REACH = 6.0
 # lead from which it does: scissors that the fit has better come to 0.4, what is better 2.8 and more
 _OVERTAKES = 2.0
+# standard errors by which a surface that fills guessed masks may lie behind one that need not
+_BELIEVED = 3.0
 _GRAIN = 1.5  # width of what may be noise of a fit, where cells are wider (pixels)
 # pixels of a photograph a face: two faces a vertex, and a vertex every other row and column
 _FACE_PIXELS = 2.0
@@ -119,7 +121,8 @@ class Selection:
     """Compares surfaces by photographs, unit frame, and selects the one that goes on.
 
     `hulls` are the visual hull, with ground if there is one, and as masks alone have it; `photos`
-    the views at the size that surfaces are compared at. `best` goes on instead of the fit, None
+    the views at the size that surfaces are compared at; `holds_masks` says whether masks were
+    given, so that the object is wherever they show it. `best` goes on instead of the fit, None
     where that does; `choices` are what was compared, for the report.
     """
 
@@ -129,9 +132,11 @@ class Selection:
         photos: list[ReducedPhoto],
         hulls: tuple[Sampled, Sampled],
         config: GeometryConfig,
+        *,
+        holds_masks: bool,
     ) -> None:
         self._views, self._coarse = views, PhotographJudge(photos)
-        self._hulls, self._config = hulls, config
+        self._hulls, self._config, self._holds_masks = hulls, config, holds_masks
         self._is_done = config.stereo_side == 0
         self._stereo: Callable[[], Sampled] | None = None  # what gives the depth maps begun
         self.best: SurfaceCandidate | None = None
@@ -149,7 +154,11 @@ class Selection:
 
     def _by_depth_maps(self) -> Sampled:
         compared = self._reduced(self._config.stereo_side)
-        return stereo_surface(compared, self._hulls[0], holds_masks=True)
+        free, held = stereo_surfaces(compared, self._hulls[0])
+        if self._holds_masks or held is free:
+            return held
+        ahead = self._coarse.lead_over(smooth_surface(free), smooth_surface(held))
+        return held if ahead > -_BELIEVED else free
 
     def _reduced(self, side: int) -> list[ReducedPhoto]:
         return side_by_side(lambda view: reduce_view(view, side), self._views)

@@ -7,6 +7,7 @@ the correlation of the photographs as weight; a depth counts if other maps have 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -137,15 +138,23 @@ class Fused:
     band: float  # half width of the band
 
 
-def stereo_surface(
-    photos: list[ReducedPhoto], hull: Sampled, coarseness: float = 1.0, *, holds_masks: bool = False
-) -> Sampled:
+def stereo_surface(photos: list[ReducedPhoto], hull: Sampled, coarseness: float = 1.0) -> Sampled:
     """The surface that depth maps agree on, and the visual hull where they say nothing.
 
     Less trust than chance and highlights get counts as none. A plain part then lies where its
     outlines put it, bent no more than what is known around it asks. `coarseness` is the share of a
-    final surface's cells along a side; with `holds_masks`, depths that leave nothing where a mask
-    shows the object are wrong, as where it mirrors.
+    final surface's cells along a side.
+    """
+    return next(stereo_surfaces(photos, hull, coarseness))
+
+
+def stereo_surfaces(
+    photos: list[ReducedPhoto], hull: Sampled, coarseness: float = 1.0
+) -> Iterator[Sampled]:
+    """That surface, and then the one that holds the masks, which may be the same.
+
+    To the second, depths that leave nothing where a mask shows the object are wrong, as where it
+    mirrors.
     """
     lattice, outer = hull
     lower, upper = np.asarray(lattice.lower) + 3 * lattice.cell, lattice.upper - 3 * lattice.cell
@@ -168,13 +177,14 @@ def stereo_surface(
         return Sampled(fine, found.reshape(-1))
 
     surface = solved(weight)
-    for _ in range(_MASK_ROUNDS if holds_masks else 0):
+    yield surface
+    for _ in range(_MASK_ROUNDS):
         wrong = carved_in_vain(surface, photos, wide)
         if not (weight[wrong] > 0).any():
             break
         weight = weight.masked_fill(wrong, 0.0)
         surface = solved(weight)
-    return surface
+    yield surface
 
 
 def carved_in_vain(surface: Sampled, photos: list[ReducedPhoto], hull: Tensor) -> Tensor:
