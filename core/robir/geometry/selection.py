@@ -30,7 +30,7 @@ from robir.geometry.prediction import Predictions, lead
 from robir.geometry.rays import ReducedPhoto, reduce_view
 from robir.geometry.refine.correlation import pixel_size
 from robir.geometry.refine.step import FLAT, refine
-from robir.geometry.stereo.fusion import stereo_surfaces
+from robir.geometry.stereo.fusion import WELL_INSIDE, stereo_surfaces
 from robir.jobs.context import Choice
 from robir.workers import meanwhile, side_by_side
 
@@ -50,6 +50,7 @@ _WITHIN_REACH = 6.0
 _OVERTAKES = 2.0
 # standard errors by which a surface that fills guessed masks may lie behind one that need not
 _BELIEVED = 3.0
+_GUESSED_WITHIN = 4.0  # distance from the outline of a guessed mask beyond which it is (pixels)
 _GRAIN = 1.5  # width of what may be noise of a fit, where cells are wider (pixels)
 # pixels of a photograph a face: two faces a vertex, and a vertex every other row and column
 _FACE_PIXELS = 2.0
@@ -154,7 +155,8 @@ class Selection:
 
     def _by_depth_maps(self) -> Sampled:
         compared = self._reduced(self._config.stereo_side)
-        free, held = stereo_surfaces(compared, self._hulls[0])
+        within = WELL_INSIDE if self._holds_masks else _GUESSED_WITHIN
+        free, held = stereo_surfaces(compared, self._hulls[0], within=within)
         if self._holds_masks or held is free:
             return held
         ahead = self._coarse.lead_over(smooth_surface(free), smooth_surface(held))

@@ -120,7 +120,7 @@ _LEAST_TRUST = 2.0  # sum of the maps' trust below which a distance counts as un
 _ANCHOR = 1e-5  # weight of the visual hull's distance inside it, where that is unknown
 _SMOOTHNESS = 1.0  # weight of the squared Laplacian of the distances, against a trust of 1
 _MASK_ROUNDS = 3  # how often depths are taken back that leave nothing where a mask shows the object
-_WELL_INSIDE = 2.0  # pixels from the outline beyond which a mask is believed
+WELL_INSIDE = 2.0  # pixels from the outline beyond which a mask is believed
 _AROUND = 2  # nodes about those of such a ray whose depths are taken back as well
 # share of a mask's pixels that miss the surface from which it has a hole: polished things have 5 %
 # and more, what is hidden at the rims of others comes to 2.5 %
@@ -149,12 +149,15 @@ def stereo_surface(photos: list[ReducedPhoto], hull: Sampled, coarseness: float 
 
 
 def stereo_surfaces(
-    photos: list[ReducedPhoto], hull: Sampled, coarseness: float = 1.0
+    photos: list[ReducedPhoto],
+    hull: Sampled,
+    coarseness: float = 1.0,
+    within: float = WELL_INSIDE,
 ) -> Iterator[Sampled]:
     """That surface, and then the one that holds the masks, which may be the same.
 
     To the second, depths that leave nothing where a mask shows the object are wrong, as where it
-    mirrors.
+    mirrors. `within` is how far from its outline a mask is believed (pixels).
     """
     lattice, outer = hull
     lower, upper = np.asarray(lattice.lower) + 3 * lattice.cell, lattice.upper - 3 * lattice.cell
@@ -179,7 +182,7 @@ def stereo_surfaces(
     surface = solved(weight)
     yield surface
     for _ in range(_MASK_ROUNDS):
-        wrong = carved_in_vain(surface, photos, wide)
+        wrong = carved_in_vain(surface, photos, wide, within)
         if not (weight[wrong] > 0).any():
             break
         weight = weight.masked_fill(wrong, 0.0)
@@ -187,7 +190,9 @@ def stereo_surfaces(
     yield surface
 
 
-def carved_in_vain(surface: Sampled, photos: list[ReducedPhoto], hull: Tensor) -> Tensor:
+def carved_in_vain(
+    surface: Sampled, photos: list[ReducedPhoto], hull: Tensor, within: float = WELL_INSIDE
+) -> Tensor:
     """Nodes (N,) bool of the hull (N,) whose depths leave rays well inside a mask without surface.
 
     All along such rays where a mask shows a hole. Elsewhere a rim or a corner lacks, and whole rays
@@ -199,7 +204,7 @@ def carved_in_vain(surface: Sampled, photos: list[ReducedPhoto], hull: Tensor) -
     marked = torch.zeros(lattice.count, dtype=torch.bool)
     positions = np.stack([photo.camera.position for photo in photos])
     for photo in (photos[own] for own in farthest_points(positions, _VIEWS)):
-        rows, columns = np.nonzero(mask_distance(photo.coverage) < -_WELL_INSIDE)
+        rows, columns = np.nonzero(mask_distance(photo.coverage) < -within)
         if not len(rows):
             continue
         pixels = np.stack([columns + 0.5, rows + 0.5], axis=1)
