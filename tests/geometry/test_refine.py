@@ -246,7 +246,7 @@ def test_guessed_masks_are_held_unless_photographs_are_against_it(
     hull = Sampled(lattice, radius - 0.63)
     free = Sampled(lattice, radius - RADIUS)
     held = Sampled(lattice, radius - RADIUS + dents * waves(lattice))
-    monkeypatch.setattr(selection, "stereo_surfaces", lambda *_: (free, held))
+    monkeypatch.setattr(selection, "stereo_surfaces", lambda *_, **__: (free, held))
     rival = Selection(capture.train, photos, (hull, hull), CONFIG, holds_masks=bool(given))
     assert rival._by_depth_maps() is (held if holds else free)
 
@@ -255,7 +255,7 @@ def test_the_rivals_take_the_place_of_a_worse_field_alone(capture, photos, monke
     lattice, radius = lattice_and_radius()
     hull = Sampled(lattice, radius - 0.63)
     depths = tuple(stereo_surfaces(photos, hull))  # the same for both fields
-    monkeypatch.setattr(selection, "stereo_surfaces", lambda *_: depths)
+    monkeypatch.setattr(selection, "stereo_surfaces", lambda *_, **__: depths)
     for dents, wins in ((0.0, False), (0.05, True)):
         rival = Selection(capture.train, photos, (hull, hull), CONFIG, holds_masks=True)
         field = Sampled(lattice, radius - RADIUS + dents * waves(lattice))
