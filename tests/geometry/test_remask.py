@@ -81,10 +81,16 @@ def test_masks_come_nearer_to_the_silhouettes(guessed, shots, monkeypatch):
     assert heard[-1] == 1.0
 
 
+def plain(view: View, truth: np.ndarray) -> View:
+    """The photograph with the object in one colour."""
+    colours = np.where(truth[..., None], np.uint8([150, 60, 40]), view.image_display)
+    return replace(view, image_display=colours)
+
+
 def test_a_part_that_one_mask_misses_is_put_back(shots, guessed, monkeypatch):
     monkeypatch.setattr(remask, "_ROUNDS", 0)
     views = [
-        replace(view, mask=np.where(shot.truth, np.uint8(255), np.uint8(0)))
+        replace(plain(view, shot.truth), mask=np.where(shot.truth, np.uint8(255), np.uint8(0)))
         for view, shot in zip(guessed.views, shots, strict=True)
     ]
     columns = np.flatnonzero(shots[11].truth.any(axis=0))
@@ -101,10 +107,6 @@ def test_a_part_that_depth_maps_lose_comes_back_for_its_edge(shots, guessed, mon
         """The hull up to the height of the box; the upper half of the ball is lost."""
         height = hull.lattice.nodes()[:, 2] * 0.9 + 0.45
         return Sampled(hull.lattice, torch.maximum(hull.values, height - 0.5))
-
-    def plain(view: View, truth: np.ndarray) -> View:
-        colours = np.where(truth[..., None], np.uint8([150, 60, 40]), view.image_display)
-        return replace(view, image_display=colours)
 
     monkeypatch.setattr(remask, "stereo_surface", without_ball)
     pairs = zip(guessed.views, shots, strict=True)

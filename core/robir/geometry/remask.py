@@ -7,7 +7,7 @@ so cut give the next hull.
 
 Depth maps lose what mirrors, and a mask that misses a part would cut it off for good. So parts that
 were guessed, and end at stronger edges than they begin at, count as the object again, and what
-nearly all masks show is put back into the others.
+nearly all masks show is put back into the others. Masks that agree are left as they are.
 """
 
 from __future__ import annotations
@@ -38,6 +38,7 @@ Mask = NDArray[np.bool_]
 # size of the photographs and of the lattice for these surfaces, as a share of the final ones
 _COARSENESS = 0.64
 _ROUNDS = 2  # surfaces and cuts, in turns
+_AGREED = 0.015  # share of the masks outside of the hull of all below which they agree
 # share of the masks that may miss a part of the object, and how deep within the hull of the others
 # it is put back into them (pixels, where the longer side has `SIDE`)
 _MISSING, _DEEP = 0.1, 1.0
@@ -62,6 +63,9 @@ def remasked(
         tracer = EmbreeTracer(mesh.vertices, mesh.faces)
         capture = replace(capture, views=cut_about(tracer, capture.views, pictures))
         progress((number + 1) / _ROUNDS)
+    _, hull = _hull(capture, side, config, 0.0)
+    if _cut_off(capture.views, _outlines(smooth_surface(hull), pictures)) < _AGREED:
+        return capture
     parts = side_by_side(_parts, zip(capture.views, guessed, pictures, strict=True))
     pairs = zip(capture.views, parts, strict=True)
     more = replace(capture, views=tuple(_with_more(view, part) for view, part in pairs))
@@ -77,6 +81,15 @@ def _hull(
     """Small photographs and the hull of their masks that a share of them may cut."""
     photos = [reduce_view(view, side) for view in capture.train]
     return photos, object_hull(capture, photos, config.hull_cells, dissent)
+
+
+def _cut_off(views: Sequence[View], outlines: Sequence[Layer]) -> float:
+    """Share of the masks, in the mean, that lies outside of the hull of all, by its outlines."""
+    shares = []
+    for view, outline in zip(views, outlines, strict=True):
+        held = cv2.resize(view.mask, outline.shape[::-1], interpolation=cv2.INTER_AREA) > 127
+        shares.append((held & (outline >= 0)).sum() / max(held.sum(), 1))
+    return float(np.mean(shares))
 
 
 def _outlines(mesh: Mesh, pictures: Sequence[Picture]) -> list[Layer]:
