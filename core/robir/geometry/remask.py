@@ -63,6 +63,8 @@ def remasked(
         tracer = EmbreeTracer(mesh.vertices, mesh.faces)
         capture = replace(capture, views=cut_about(tracer, capture.views, pictures))
         progress((number + 1) / _ROUNDS)
+    if _MISSING * len(photos) < 1:  # one of a few bounds a side of the object alone
+        return capture
     _, hull = _hull(capture, side, config, 0.0)
     if _cut_off(capture.views, _outlines(smooth_surface(hull), pictures)) < _AGREED:
         return capture
