@@ -38,7 +38,7 @@ Mask = NDArray[np.bool_]
 # size of the photographs and of the lattice for these surfaces, as a share of the final ones
 _COARSENESS = 0.64
 _ROUNDS = 2  # surfaces and cuts, in turns
-_AGREED = 0.015  # share of the masks outside of the hull of all below which they agree
+_AGREED = 0.055  # share of the masks outside of the hull of all below which they agree
 # share of the masks that may miss a part of the object, and how deep within the hull of the others
 # it is put back into them (pixels, where the longer side has `SIDE`)
 _MISSING, _DEEP = 0.1, 1.0
@@ -65,12 +65,12 @@ def remasked(
         progress((number + 1) / _ROUNDS)
     if _MISSING * len(photos) < 1:  # one of a few bounds a side of the object alone
         return capture
-    _, hull = _hull(capture, side, config, 0.0)
-    if _cut_off(capture.views, _outlines(smooth_surface(hull), pictures)) < _AGREED:
-        return capture
     parts = side_by_side(_parts, zip(capture.views, guessed, pictures, strict=True))
     pairs = zip(capture.views, parts, strict=True)
     more = replace(capture, views=tuple(_with_more(view, part) for view, part in pairs))
+    _, hull = _hull(capture, side, config, 0.0)
+    if _cut_off(more.views, _outlines(smooth_surface(hull), pictures)) < _AGREED:
+        return capture
     _, hull = _hull(more, side, config, _MISSING)
     common = zip(capture.views, _outlines(smooth_surface(hull), pictures), strict=True)
     views = tuple(_with_more(view, outline < -_DEEP) for view, outline in common)
