@@ -139,16 +139,20 @@ def _exr_fault(path: Path) -> str:
     if not colours:
         return f"it has no colours, only {', '.join(sorted(image))[:80]}"
     for name in colours:
-        if not np.isfinite(image[name]).all():
+        values = image[name]
+        if not np.isfinite(values).all():
             return f"its channel {name} holds numbers that are not finite"
-        low, high = image[name].min(), image[name].max()
-        below = -image[name].clip(max=0).sum(dtype=np.float64)
-        if (
-            below > _MOST_BELOW * image[name].clip(min=0).sum(dtype=np.float64)
-            or high > _MOST_RADIANCE
-        ):
+        low, high = values.min(), values.max()
+        if high > _MOST_RADIANCE or (low < 0 and _share_below(values) > _MOST_BELOW):
             return f"its channel {name} goes from {low:g} to {high:g}"
     return ""
+
+
+def _share_below(values: NDArray[np.float32]) -> float:
+    """Sum of what lies below 0, some of which does, against the sum of what lies above."""
+    above = values.clip(min=0).sum(dtype=np.float64)
+    below = -values.clip(max=0).sum(dtype=np.float64)
+    return float(below / above) if above > 0 else np.inf
 
 
 def _hdr_fault(path: Path) -> str:

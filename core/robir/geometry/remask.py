@@ -25,7 +25,6 @@ from robir.geometry.config import GeometryConfig
 from robir.geometry.hull import mask_distance, object_hull
 from robir.geometry.lattice import Sampled
 from robir.geometry.mesh.tracer import EmbreeTracer
-from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.rays import ReducedPhoto, reduce_view
 from robir.geometry.selection import smooth_surface
 from robir.geometry.stereo.fusion import entry_depth, stereo_surface
@@ -54,51 +53,55 @@ def remasked(
     """A capture, whose masks were guessed, with masks cut again, the held-out views' too."""
     side = round(_COARSENESS * config.stereo_side)
     pictures = reduced(capture.views, SIDE)
-    photos, hull = _hull(capture, side, config, DISSENT)
-    guessed = _outlines(smooth_surface(hull), pictures)
+
+    def carved(by: Capture, dissent: float) -> tuple[list[ReducedPhoto], Sampled]:
+        """Small photographs, and the hull of their masks that a share of them need not bound."""
+        photos = [reduce_view(view, side) for view in by.train]
+        return photos, object_hull(by, photos, config.hull_cells, dissent)
+
+    photos, hull = carved(capture, DISSENT)
+    guessed = _outlines(_tracer(hull), pictures)
     for number in range(_ROUNDS):
         if number:
-            photos, hull = _hull(capture, side, config, DISSENT)
-        mesh = smooth_surface(stereo_surface(photos, hull, _COARSENESS))
-        tracer = EmbreeTracer(mesh.vertices, mesh.faces)
+            photos, hull = carved(capture, DISSENT)
+        tracer = _tracer(stereo_surface(photos, hull, _COARSENESS))
         capture = replace(capture, views=cut_about(tracer, capture.views, pictures))
         progress((number + 1) / _ROUNDS)
     if _MISSING * len(photos) < 1:  # one of a few bounds a side of the object alone
         return capture
     parts = side_by_side(_parts, zip(capture.views, guessed, pictures, strict=True))
-    pairs = zip(capture.views, parts, strict=True)
-    more = replace(capture, views=tuple(_with_more(view, part) for view, part in pairs))
-    _, hull = _hull(capture, side, config, 0.0)
-    if _cut_off(more.views, _outlines(smooth_surface(hull), pictures)) < _AGREED:
+    more = replace(capture, views=_with_more(capture.views, parts))
+    _, hull = carved(capture, 0.0)
+    if _cut_off(more.views, _outlines(_tracer(hull), pictures)) < _AGREED:
         return capture
-    _, hull = _hull(more, side, config, _MISSING)
-    common = zip(capture.views, _outlines(smooth_surface(hull), pictures), strict=True)
-    views = tuple(_with_more(view, outline < -_DEEP) for view, outline in common)
-    return replace(capture, views=views)
+    _, hull = carved(more, _MISSING)
+    common = [outline < -_DEEP for outline in _outlines(_tracer(hull), pictures)]
+    return replace(capture, views=_with_more(capture.views, common))
 
 
-def _hull(
-    capture: Capture, side: int, config: GeometryConfig, dissent: float
-) -> tuple[list[ReducedPhoto], Sampled]:
-    """Small photographs and the hull of their masks that a share of them may cut."""
-    photos = [reduce_view(view, side) for view in capture.train]
-    return photos, object_hull(capture, photos, config.hull_cells, dissent)
+def _tracer(surface: Sampled) -> EmbreeTracer:
+    mesh = smooth_surface(surface)
+    return EmbreeTracer(mesh.vertices, mesh.faces)
+
+
+def _outlines(tracer: EmbreeTracer, pictures: Sequence[Picture]) -> list[Layer]:
+    """Signed distances (H, W), pixels, from a surface's outline in each, negative inside."""
+    shown = [np.isfinite(entry_depth(tracer, picture.camera)) for picture in pictures]
+    return [mask_distance(one.astype(np.float32)) for one in shown]
+
+
+def _held(view: View, outline: Layer) -> Mask:
+    """A view's mask (h, w) at the size of a small picture."""
+    return cv2.resize(view.mask, outline.shape[::-1], interpolation=cv2.INTER_AREA) > 127
 
 
 def _cut_off(views: Sequence[View], outlines: Sequence[Layer]) -> float:
     """Share of the masks, in the mean, that lies outside of the hull of all, by its outlines."""
     shares = []
     for view, outline in zip(views, outlines, strict=True):
-        held = cv2.resize(view.mask, outline.shape[::-1], interpolation=cv2.INTER_AREA) > 127
+        held = _held(view, outline)
         shares.append((held & (outline >= 0)).sum() / max(held.sum(), 1))
     return float(np.mean(shares))
-
-
-def _outlines(mesh: Mesh, pictures: Sequence[Picture]) -> list[Layer]:
-    """Signed distances (H, W), pixels, from a mesh's outline in each, negative inside."""
-    tracer = EmbreeTracer(mesh.vertices, mesh.faces)
-    shown = [np.isfinite(entry_depth(tracer, picture.camera)) for picture in pictures]
-    return [mask_distance(one.astype(np.float32)) for one in shown]
 
 
 def _parts(item: tuple[View, Layer, Picture]) -> Mask:
@@ -107,7 +110,7 @@ def _parts(item: tuple[View, Layer, Picture]) -> Mask:
     By the signed distance (h, w) from the guessed outline, in a small picture.
     """
     view, guessed, picture = item
-    held = cv2.resize(view.mask, guessed.shape[::-1], interpolation=cv2.INTER_AREA) > 127
+    held = _held(view, guessed)
     beside = (guessed < 0) & ~held
     beside = cv2.morphologyEx(beside.astype(np.uint8), cv2.MORPH_OPEN, _NEAR) == 1
     by_mask, by_rest = (
@@ -131,11 +134,15 @@ def _edges(lab: Bytes) -> Layer:
     return np.sqrt(sum((slope**2).sum(axis=2) for slope in slopes)) / 32
 
 
-def _with_more(view: View, more: Mask) -> View:
-    """A view whose mask holds more, which is said at a smaller size (h, w)."""
-    size = view.mask.shape[::-1]
-    large = cv2.resize(more.astype(np.float32), size, interpolation=cv2.INTER_LINEAR) > 0.5
-    return replace(view, mask=np.where(large, np.uint8(255), view.mask))
+def _with_more(views: Sequence[View], more: Sequence[Mask]) -> tuple[View, ...]:
+    """Views whose masks hold more, which is said at a smaller size (h, w)."""
+
+    def filled(view: View, own: Mask) -> View:
+        size = view.mask.shape[::-1]
+        large = cv2.resize(own.astype(np.float32), size, interpolation=cv2.INTER_LINEAR) > 0.5
+        return replace(view, mask=np.where(large, np.uint8(255), view.mask))
+
+    return tuple(filled(*pair) for pair in zip(views, more, strict=True))
 
 
 def cut_about(
@@ -143,15 +150,11 @@ def cut_about(
 ) -> tuple[View, ...]:
     """Views with masks that end where colours and edges say so, near a surface's outline."""
     pictures = pictures or reduced(views, SIDE)
-    sizes = [picture.lab.shape[1::-1] for picture in pictures]
-    cameras = [view.camera.resized(*size) for view, size in zip(views, sizes, strict=True)]
-    shown = [np.isfinite(entry_depth(tracer, camera)) for camera in cameras]
-    outlines = [mask_distance(one.astype(np.float32)) for one in shown]
-    cut = zip(views, recut(pictures, outlines), strict=True)
+    cut = zip(views, recut(pictures, _outlines(tracer, pictures)), strict=True)
     return tuple(_with_mask(*pair) for pair in cut)
 
 
-def _with_mask(view: View, belief: NDArray[np.float32]) -> View:
+def _with_mask(view: View, belief: Layer) -> View:
     """A view with the mask of a belief, or as it was where that leaves nothing."""
     mask = sharpened(view.image_display, belief)
     return replace(view, mask=mask) if mask.any() else view

@@ -31,7 +31,7 @@ Mask = NDArray[np.bool_]
 SIDE = 320  # longer side at which masks are made, pixels
 DISSENT = 0.05  # share of the photographs that may call a part background in the end
 # longer side of the pictures, and that share, round by round
-_ROUNDS = ((SIDE // 2, (0.15, 0.10, 0.07)), (SIDE, (DISSENT,)))
+_ROUNDS = ((SIDE // 2, 0.15), (SIDE // 2, 0.10), (SIDE // 2, 0.07), (SIDE, DISSENT))
 CELLS = 64  # along the longest side of the region
 _SLIM = 0.6  # of a cell that masks carve and pictures show: whole ones would make it fat
 _ROOM = 0.0375  # of the side beyond the volume's picture is looked at after the first round
@@ -99,30 +99,29 @@ def guess_masks(views: Sequence[View], region: Region, progress: Callable[[float
     pictures: list[Picture] = []
     masks: list[Mask] = []
     priors: list[Mask] = []
-    done, whole = 0, len(views) * sum(len(dissents) for _, dissents in _ROUNDS)
-    for side, dissents in _ROUNDS:
-        pictures = reduced(views, side)
-        priors = [shown(p.camera, left, size) for p in pictures]
-        alike = _like_points(pictures, region.points, priors)
-        for dissent in dissents:
-            if masks:
-                about = _disc(round(_ROOM * side))
-                rooms = [cv2.dilate(prior.astype(np.uint8), about) == 1 for prior in priors]
-            else:
-                rooms = [shown(p.camera, cells, half) for p in pictures]
-            masks, cut = [], partial(_cut, points=points)
-            items = list(zip(pictures, priors, rooms, alike, strict=True))
-            for part in blocks(len(items), _TOGETHER):
-                masks += side_by_side(cut, items[part])
-                progress((done + len(masks)) / whole)
-            done += len(masks)
-            outlines = [
-                silhouette(p.camera, m) for p, m in zip(pictures, masks, strict=True) if m.any()
-            ]
-            size = _SLIM * half
-            left = cells[kept(outlines, cells, size, round(dissent * len(outlines)))]
+    alike: list[Mask] = []
+    for number, (side, dissent) in enumerate(_ROUNDS):
+        if number == 0 or side != _ROUNDS[number - 1][0]:
+            pictures = reduced(views, side)
             priors = [shown(p.camera, left, size) for p in pictures]
-            points = _within(region.points, pictures, masks)
+            alike = _like_points(pictures, region.points, priors)
+        if number:
+            about = _disc(round(_ROOM * side))
+            rooms = [cv2.dilate(prior.astype(np.uint8), about) == 1 for prior in priors]
+        else:
+            rooms = [shown(p.camera, cells, half) for p in pictures]
+        masks, cut = [], partial(_cut, points=points)
+        items = list(zip(pictures, priors, rooms, alike, strict=True))
+        for part in blocks(len(items), _TOGETHER):
+            masks += side_by_side(cut, items[part])
+            progress((number + len(masks) / len(pictures)) / len(_ROUNDS))
+        outlines = [
+            silhouette(p.camera, m) for p, m in zip(pictures, masks, strict=True) if m.any()
+        ]
+        size = _SLIM * half
+        left = cells[kept(outlines, cells, size, round(dissent * len(outlines)))]
+        priors = [shown(p.camera, left, size) for p in pictures]
+        points = _within(region.points, pictures, masks)
     agreement = [(m & p).sum() / max((m | p).sum(), 1) for m, p in zip(masks, priors, strict=True)]
     # one hole drills through the whole visual hull, so what all others see is put back
     deep = [cv2.erode(p.astype(np.uint8), _disc(_DEEP), borderValue=1) == 1 for p in priors]
