@@ -4,15 +4,17 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from statistics import median
 from typing import Any
 
+import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import StrMethodFormatter
 
+from robir_bench.distribution import estimate, quantile
 from robir_bench.table import Record, value
 from robir_bench.truth.scores import ALBEDO, RERENDER, SECONDS, SHADOW, Score
 
@@ -30,7 +32,8 @@ SVG_STYLE: Any = {"svg.fonttype": "none", "svg.hashsalt": "robir", "font.size": 
 def speed_accuracy(records: Sequence[Record]) -> str:
     """The chart as SVG text.
 
-    Large markers are medians over captures and seeds; small ones are runs.
+    Large markers are medians over captures and seeds with their bootstrap intervals, dashes what
+    nine runs in ten are no worse than; small markers are runs.
 
     Args:
         records: Runs that were scored.
@@ -168,8 +171,8 @@ def _draw_panel(
         points = [_point(score, record) for record in records if record["method"] == method]
         known = [point for point in points if point is not None]
         axes.plot(*_columns(known), linestyle="", markersize=3.5, alpha=0.35, **style)
-        own = [found[method]] if method in found else []
-        axes.plot(*_columns(own), label=method, linestyle="", markersize=8, **style)
+        if method in found:
+            _draw_median(axes, score, known, {**style, "label": method})
     middle = list(found.values())
     sign = -1.0 if score.best == "high" else 1.0
     front = [middle[i] for i in pareto_front([(s, sign * v) for s, v in middle])]
@@ -192,6 +195,22 @@ def _draw_panel(
     axes.set_title(wanted, fontsize=8, loc="right")
     axes.set_ylabel(f"{score.title}, distance from 1" if score.best == "one" else score.title)
     tidy(axes)
+
+
+def _draw_median(
+    axes: Axes, score: Score, points: Sequence[tuple[float, float]], style: Mapping[str, Any]
+) -> None:
+    """The median of a method's runs with its interval, and what nine in ten are no worse than."""
+    seconds, values = _columns(points)
+    figure = estimate(values, quantile(0.5))
+    assert figure is not None
+    low, high = (figure.value if end is None else end for end in (figure.low, figure.high))
+    middle, reach = [median(seconds)], [[figure.value - low], [high - figure.value]]
+    axes.errorbar(
+        middle, [figure.value], yerr=reach, linestyle="", markersize=8, capsize=2.5, **style
+    )
+    tenth = float(np.quantile(values, 0.1 if score.best == "high" else 0.9))
+    axes.plot(middle, [tenth], marker="_", markersize=12, linestyle="", color=style["color"])
 
 
 def tidy(axes: Axes) -> None:

@@ -1,18 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The scores of a bench as tables: median and worst of each method, then a row a run."""
+"""The scores of a bench as tables: how each method does, ours against each, then a row a run."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from statistics import median
 from typing import Any
 
-from robir_bench.truth.scores import COSTS, LEVEL_SCORES, SCORES, SECONDS, Score
+from robir_bench.distribution import estimate, mean, quantile
+from robir_bench.plan import OURS
+from robir_bench.truth.scores import ALBEDO, COSTS, LEVEL_SCORES, RAW_ALBEDO, SCORES, SECONDS, Score
 
 Record = dict[str, Any]
 
 _CLIPPING = "standard"
+_SUMMARIES = ("median", "worst tenth", "worst")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,6 +54,7 @@ def _truth_tables(records: Sequence[Record]) -> list[Table]:
             head=["method", *titles, "clipping told right"],
             rows=_summary(records),
         ),
+        *_against_each(records),
         Table(
             title="Runs",
             head=["capture", "method", "seed", *titles, "tone curve"],
@@ -75,7 +78,7 @@ def _level_table(records: Sequence[Record]) -> Table:
     for method in dict.fromkeys(record["method"] for record in records):
         members = [record for record in records if record["method"] == method]
         trusted = sum(_trusted(record) == "yes" for record in members)
-        for name in ("median", "worst"):
+        for name in _SUMMARIES:
             cells = [_summarised(column, members, name) for column in columns]
             rows.append([name, method, "", *cells, f"{trusted}/{len(members)}", ""])
     titles = [column.title for column in columns]
@@ -129,17 +132,45 @@ def _summary(records: Sequence[Record]) -> list[list[str]]:
     for method in dict.fromkeys(record["method"] for record in records):
         members = [record for record in records if record["method"] == method]
         right = sum(_is_clipping_told_right(record) for record in members)
-        for name in ("median", "worst"):
+        for name in _SUMMARIES:
             cells = [_summarised(score, members, name) for score in (*SCORES, *COSTS)]
             rows.append([f"{method}: {name}", *cells, f"{right}/{len(members)}"])
     return rows
 
 
 def _summarised(score: Score, members: Sequence[Record], name: str) -> str:
+    """The median and its interval, what nine in ten are no worse than, or the worst."""
     values = [found for r in members if (found := value(score, r)) is not None]
     if not values:
         return "-"
-    return score.text(median(values) if name == "median" else max(values, key=score.badness))
+    if name == "median":
+        figure = estimate(values, quantile(0.5))
+        assert figure is not None
+        return figure.text(score.digits)
+    ranked = sorted(values, key=score.badness)
+    return score.text(ranked[-1] if name == "worst" else ranked[-(-9 * len(ranked) // 10) - 1])
+
+
+def _against_each(records: Sequence[Record]) -> list[Table]:
+    """Ours less every other method, capture by capture and seed by seed; none without both."""
+    ours = {(r["capture"], r["seed"]): r for r in records if r["method"] == OURS}
+    rows = []
+    for method in dict.fromkeys(r["method"] for r in records if r["method"] != OURS):
+        others = [r for r in records if r["method"] == method and (r["capture"], r["seed"]) in ours]
+        cells = []
+        for score in (ALBEDO, RAW_ALBEDO):
+            pairs = [(value(score, ours[r["capture"], r["seed"]]), value(score, r)) for r in others]
+            gains = [mine - its for mine, its in pairs if mine is not None and its is not None]
+            figure = estimate(gains, mean)
+            if figure is not None:
+                ahead = sum(gain > 0 for gain in gains)
+                cells += [figure.text(1), f"{ahead} of {len(gains)}"]
+        rows += [[method, *cells]] if cells else []
+    head = ["method"]
+    for score in (ALBEDO, RAW_ALBEDO):
+        head += [score.title, "ahead on"]
+    title = "Ours less each, mean over captures"
+    return [Table(title=title, head=head, rows=rows)] if rows else []
 
 
 def _is_clipping_told_right(record: Record) -> bool:

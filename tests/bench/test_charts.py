@@ -4,14 +4,16 @@
 from __future__ import annotations
 
 import copy
+import re
 import xml.etree.ElementTree as ET
 
 import numpy as np
 import pytest
 from bench.fake_robir import scores
 
-from robir_bench.chart import amounts, cost_growth, pareto_front
+from robir_bench.chart import amounts, cost_growth, pareto_front, speed_accuracy
 from robir_bench.heat import cases, cause, heat_map, heat_table, worst_cases
+from robir_bench.table import bench_tables
 
 
 def record(albedo=22.0, method="ours", seconds=90.0, factor="", value="", trusted=True, **changes):
@@ -69,6 +71,25 @@ def test_costs_grow_with_amounts_and_words_are_no_amounts():
     for word in ("views", "geometry.level_steps", "in proportion"):
         assert word in words
     assert cost_growth(records[:1]) == ""
+
+
+def test_methods_are_compared_capture_by_capture_and_with_their_tenth():
+    captures = [str(number) for number in range(10)]
+    # captures differ by 18 dB, methods on one by 1 to 3: only pairs tell them apart
+    ours = [record(20.0 + 2 * k, capture=c) for k, c in enumerate(captures)]
+    theirs = [
+        record(19.0 + 2 * k - k % 3, "mitsuba", capture=c) for k, c in enumerate(captures)
+    ]
+    summary, against, _ = bench_tables([*ours, *theirs])
+    cells = {row[0]: row[1] for row in summary.rows}
+    assert cells["ours: median"].startswith("29.0 [")
+    assert (cells["ours: worst tenth"], cells["ours: worst"]) == ("22.0", "20.0")
+    (row,) = against.rows
+    assert row[0] == "mitsuba" and row[2] == "10 of 10"
+    middle, low, high = (float(part) for part in re.findall(r"[\d.]+", row[1]))
+    assert middle == pytest.approx(1.9) and 1.0 < low < middle < high < 3.0
+    assert "mitsuba" in "".join(ET.fromstring(speed_accuracy([*ours, *theirs])).itertext())
+    assert len(bench_tables(ours)) == 2  # nothing to compare with
 
 
 def test_losses_are_against_the_same_capture_method_and_seed():
