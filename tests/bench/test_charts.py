@@ -77,9 +77,7 @@ def test_methods_are_compared_capture_by_capture_and_with_their_tenth():
     captures = [str(number) for number in range(10)]
     # captures differ by 18 dB, methods on one by 1 to 3: only pairs tell them apart
     ours = [record(20.0 + 2 * k, capture=c) for k, c in enumerate(captures)]
-    theirs = [
-        record(19.0 + 2 * k - k % 3, "mitsuba", capture=c) for k, c in enumerate(captures)
-    ]
+    theirs = [record(19.0 + 2 * k - k % 3, "mitsuba", capture=c) for k, c in enumerate(captures)]
     summary, against, _ = bench_tables([*ours, *theirs])
     cells = {row[0]: row[1] for row in summary.rows}
     assert cells["ours: median"].startswith("29.0 [")
