@@ -11,7 +11,7 @@ import pytest
 from capture import writers
 from capture.scene import cameras, shoot, surface_points
 
-from robir.capture.bounds import enclosing_sphere, sphere_from_masks
+from robir.capture.bounds import enclosing, enclosing_sphere, sphere_from_masks
 from robir.capture.capture import View
 from robir.capture.config import CaptureConfig
 from robir.capture.frames import Frame, Lens
@@ -60,6 +60,24 @@ def test_sphere_is_tight_from_masks_alone():
     assert hull is not None
     assert hull.strict > 0.99
     assert_tight(hull.sphere.centre, hull.sphere.radius)
+
+
+def test_the_object_stays_in_the_sphere_when_thin_parts_vanish_as_cells_are_divided():
+    """What guessed masks share of a table: needles of coarse cells, of which only one tip stays."""
+    half = 0.05
+    ticks = np.arange(-1.6 + half, 1.6, 2 * half)
+    grid = np.stack(np.meshgrid(ticks, ticks, ticks, indexing="ij"), axis=-1).reshape(-1, 3)
+    in_ball = np.linalg.norm(grid, axis=1) < 0.6
+    in_needles = (np.abs(grid[:, 1:]) < 2 * half).all(axis=1)
+
+    def carved(cells, half):
+        tip = np.linalg.norm(cells - [1.55, 0.0, 0.0], axis=1) < 0.05 + half
+        return tip | (np.linalg.norm(cells, axis=1) < 0.6 + half)
+
+    found = enclosing(carved, grid[in_ball | in_needles], half)
+    points = np.concatenate([grid[in_ball], [[1.55, 0.0, 0.0]]])
+    assert np.linalg.norm(points - found.centre, axis=1).max() < found.radius + 0.1
+    assert found.radius < 1.2
 
 
 @pytest.mark.parametrize(

@@ -3,15 +3,17 @@
 
 The hull is every point that no mask calls background. Cells of a coarse grid are kept if a mask
 is nearer to their projected centre than their projected half diagonal, so thin parts survive;
-then only the outermost cells, which alone decide the sphere, are divided further.
+then only the outermost cells, which alone decide the sphere, are divided further. All of them are
+where what lies outermost vanishes as it is divided.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -261,21 +263,56 @@ def shown(camera: Camera, cells: Array, half: float) -> NDArray[np.bool_]:
 
 
 def _refined(silhouettes: Sequence[Silhouette], cells: Array, half: float, dissent: int) -> Bounds:
-    """Bounding sphere of the hull after dividing the outermost cells `_LEVELS` times."""
+    """Bounding sphere of the hull after dividing its cells, of half a side, `_LEVELS` times."""
+    found = enclosing(partial(kept, silhouettes, dissent=dissent), cells, half)
+    radius = MARGIN * (found.radius + float(np.sqrt(3.0)) * found.half)
+    origin = f"visual hull of {len(silhouettes)} masks"
+    return Bounds(centre=found.centre, radius=radius, origin=origin)
+
+
+class Enclosed(NamedTuple):
+    """The sphere about cells of half a side, and whether cells that were left out lie within."""
+
+    centre: Array
+    radius: float
+    half: float
+    is_certain: bool
+
+
+Carved = Callable[[Array, float], NDArray[np.bool_]]
+
+
+def enclosing(carved: Carved, cells: Array, half: float) -> Enclosed:
+    """Sphere about what is `carved` of cells (N, 3), of half a side, divided `_LEVELS` times."""
+    for whole in range(_LEVELS + 1):
+        found = _divided(carved, cells, half, whole)
+        if found.is_certain:
+            break
+    return found
+
+
+def _divided(carved: Carved, cells: Array, half: float, whole: int) -> Enclosed:
+    """Sphere about cells (N, 3), all divided in the first `whole` turns, then the outermost.
+
+    These decide it while it shrinks by the diagonal of a cell at most. Thin parts may vanish at
+    once.
+    """
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     centre, radius = enclosing_sphere(cells)
-    for _ in range(_LEVELS):
+    is_certain = True
+    for level in range(_LEVELS):
         if half <= _FINEST * np.abs(centre).max():
             break  # cells that coincide as numbers have no hull, and eight times as many each time
-        # The sphere shrinks by a cell's diagonal at most, so deeper cells cannot decide it.
-        outer = np.linalg.norm(cells - centre, axis=1) >= radius - 4 * np.sqrt(3.0) * half
+        diagonal = 2 * np.sqrt(3.0) * half
+        if level >= whole:
+            cells = cells[np.linalg.norm(cells - centre, axis=1) >= radius - 2 * diagonal]
         half = 0.5 * half
-        children = (cells[outer][:, None, :] + half * corners).reshape(-1, 3)
-        children = children[kept(silhouettes, children, half, dissent)]
+        children = (cells[:, None, :] + half * corners).reshape(-1, 3)
+        children = children[carved(children, half)]
         if len(children) == 0:
+            is_certain = level < whole
             break
-        cells = children
+        cells, before = children, radius
         centre, radius = enclosing_sphere(cells)
-    radius = MARGIN * (radius + float(np.sqrt(3.0)) * half)
-    origin = f"visual hull of {len(silhouettes)} masks"
-    return Bounds(centre=centre, radius=radius, origin=origin)
+        is_certain &= level < whole or radius >= before - diagonal
+    return Enclosed(centre, radius, half, is_certain)
