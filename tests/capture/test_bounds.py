@@ -12,9 +12,10 @@ from capture import writers
 from capture.scene import cameras, shoot, surface_points
 
 from robir.capture.bounds import enclosing, enclosing_sphere, sphere_from_masks
-from robir.capture.capture import View
+from robir.capture.capture import PHOTOGRAPHS_ALONE, View
+from robir.capture.checks.findings import place_object
 from robir.capture.config import CaptureConfig
-from robir.capture.frames import Frame, Lens
+from robir.capture.frames import Frame, FrameSet, Lens
 from robir.capture.masks.given import from_folder
 from robir.capture.recognise import read_capture
 from robir.errors import CaptureError
@@ -117,6 +118,22 @@ def test_one_wrong_mask_is_found_out(tmp_path):
     points = surface_points()
     outside = np.linalg.norm(points - capture.bounds.centre, axis=1) > capture.bounds.radius
     assert outside.mean() < 0.01
+
+
+@pytest.mark.parametrize("form", [PHOTOGRAPHS_ALONE, "colmap"])
+def test_a_photograph_that_we_put_in_a_wrong_place_is_left_out(tmp_path, form):
+    views = views_of([shoot(camera) for camera in cameras(20)])
+    camera = views[5].camera
+    views[5] = replace(views[5], camera=replace(camera, cx=camera.cx + 0.15 * camera.width))
+    frames = FrameSet(root=tmp_path, format=form, frames=())
+    kept, bounds, findings = place_object(frames, tuple(views))
+    codes = {finding.code: finding for finding in findings}
+    if form == PHOTOGRAPHS_ALONE:
+        assert [view.name for view in kept] == [str(k) for k in range(20) if k != 5]
+        assert codes["misplaced"].files == ("5",) and "odd-masks" not in codes
+        assert_tight(bounds.centre, bounds.radius)
+    else:  # the user says where they are
+        assert len(kept) == 20 and codes["odd-masks"].files == ("5",)
 
 
 def _frames(*names: str) -> list[Frame]:

@@ -26,6 +26,7 @@ from robir.capture.refusal import error, note, some, warning
 MIN_VIEWS = 3  # fewer views cannot fix a surface
 MAX_VIEWS = 2000  # ten times as many as any object needs, and each takes time
 FEW_VIEWS = 12  # below this many views, hidden sides stay guesses
+_EXPLAINED = 0.8  # share of a mask that the hull explains at least
 _SIDES_CURE = "Leave out the wrong ones, or set the intrinsics right."
 
 
@@ -245,12 +246,14 @@ def place_object(frames: FrameSet, views: Views) -> tuple[Views, Bounds | None, 
         cure += "and that the poses follow the format's axes."
         findings.append(error("masks-disagree", message, cure))
         return views, None, findings
+    views, hull, about = _without_misplaced(frames, views, hull)
+    findings += about
     if hull.strict < GOOD_AGREEMENT:
         message = f"What all masks allow to be there explains only {100 * hull.strict:.0f} % of a "
         cure = "Check that masks and photographs are paired rightly and that the poses are good."
         findings.append(warning("masks-disagree", message + "mask", cure))
     train = [view for view in views if view.split == "train"]
-    odd = [v.name for v, share in zip(train, hull.agreement, strict=True) if share < 0.8]
+    odd = _odd(train, hull)
     message, cure = "masks show more than the others leave room for", "Check these masks and poses."
     findings += _of("warning", "odd-masks", odd, len(train), message, cure)
     sphere = hull.sphere
@@ -260,6 +263,32 @@ def place_object(frames: FrameSet, views: Views) -> tuple[Views, Bounds | None, 
         if start.radius <= sphere.radius:
             sphere = start
     return views, replace(sphere, is_limit=False), findings
+
+
+def _odd(train: Sequence[View], hull: Hull) -> list[str]:
+    """Names of views that a hull does not explain the masks of."""
+    return [v.name for v, share in zip(train, hull.agreement, strict=True) if share < _EXPLAINED]
+
+
+def _without_misplaced(
+    frames: FrameSet, views: Views, hull: Hull
+) -> tuple[Views, Hull, list[Finding]]:
+    """Views without those that only a wrong place explains, if we placed them; and their hull.
+
+    On things that look alike from several sides a photograph may be put on the wrong one, and its
+    mask would cut off what all others show.
+    """
+    odd = _odd([view for view in views if view.split == "train"], hull)
+    if frames.format != PHOTOGRAPHS_ALONE or hull.strict >= GOOD_AGREEMENT or not odd:
+        return views, hull, []
+    rest = tuple(view for view in views if view.name not in odd)
+    other = _hull(frames, rest)
+    if len(rest) < MIN_VIEWS or other is None or other.strict < GOOD_AGREEMENT:
+        return views, hull, []
+    message = "photographs were put where their masks fit no other, and are left out"
+    cure = "Photograph again from between these places and their neighbours, or turn what the "
+    cure += "object stands on so that no two sides look alike."
+    return rest, other, _of("warning", "misplaced", odd, len(views), message, cure)
 
 
 def _hull(frames: FrameSet, views: Views) -> Hull | None:
