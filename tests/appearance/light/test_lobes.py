@@ -70,6 +70,16 @@ def test_shadows_give_the_sky_its_strength_back(problem, factor):
     assert float(share * SUN * synthetic.WARM.mean()) == pytest.approx(1, abs=0.06)
 
 
+def test_a_brighter_light_darkens_all_albedos_alike_for_gradients_too():
+    """Or deep shadows would ask for ever more sun, which seems to bring what is lit nearer."""
+    irradiance = torch.tensor([4.0, 1.0, 1e-2, 1e-4])[:, None].expand(4, 3)
+    brighter = torch.zeros((), requires_grad=True)
+    for sample in range(4):
+        values = log_ratio(torch.ones(4, 3), brighter.exp() * irradiance)
+        (slope,) = torch.autograd.grad(values[sample, 0], brighter)
+        assert float(slope) == pytest.approx(-1.0, abs=1e-5)
+
+
 def test_log_ratio_is_exact_in_the_light_and_finite_in_the_dark():
     irradiance = torch.rand(200, 3, dtype=torch.float64) + 0.5
     albedo = torch.rand(200, 3, dtype=torch.float64) * 0.8 + 0.05

@@ -199,8 +199,12 @@ def soft_transfer(
 
 
 def log_ratio(radiance: Tensor, irradiance: Tensor) -> Tensor:
-    """Logarithm of albedo, log(pi R / E), kept finite where hardly any light arrives."""
-    floor = 0.02 * irradiance.mean(0).detach()
+    """Logarithm of albedo, log(pi R / E), kept finite where hardly any light arrives.
+
+    The floor goes up with the light, for gradients too: else deep shadows, whose albedo it holds,
+    would ask for ever more sun, which seems to darken nothing but what is lit.
+    """
+    floor = 0.02 * irradiance.mean(0)
     return torch.log(np.pi * radiance) - 0.5 * torch.log(irradiance**2 + floor**2)
 
 
