@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -97,3 +98,31 @@ def test_a_sun_that_the_user_tells_is_taken_and_moved_a_little(strength):
         assert degrees(light.axes[0], synthetic.SUN) < 1.5
     else:
         assert len(find_suns(make_problem(scene, curve), config, 0).axes) == 0
+
+
+@pytest.mark.parametrize(
+    ("tried", "chosen"),
+    [
+        ([(0.9, 0.95), (0.3, 0.98)], 1),  # a shadow that shows comes first
+        ([(0.3, 0.97), (0.5, 0.96)], 1),  # of two that show the lower loss
+        ([(0.3, 1.2), (0.95, 0.9)], 1),  # one lowers the loss, the other does not
+        ([(0.45, 1.05), (0.3, 1.1)], 1),  # none does: the plainest shadow
+        ([(0.7, 1.05)], None),
+        ([], None),
+    ],
+)
+def test_a_plain_shadow_tells_a_sun_that_lowers_no_other_difference(monkeypatch, tried, chosen):
+    """Of (what is left of the differences across its shadow, loss), where it was 1 without a sun"""
+    axes = np.eye(3, dtype=np.float32)[: len(tried)]
+    lights = [SimpleNamespace(loss=loss, left=left) for left, loss in tried]
+
+    def fitted(_, axis, *rest):
+        return lights[int(axis[-1].argmax())]
+
+    monkeypatch.setattr(sun_search, "fit", fitted)
+    monkeypatch.setattr(sun_search, "left_across_shadow", lambda _, before, after: after.left)
+    before = SimpleNamespace(axes=axes[:0], sharpness=np.zeros(0, np.float32), loss=1.0)
+    problem = SimpleNamespace(scene=SimpleNamespace(sun=None))
+    candidates = [SunCandidate(axis=axis, loss=1.0, gain=0.0) for axis in axes]
+    best = sun_search._best_addition(problem, before, candidates, 1)
+    assert best is (None if chosen is None else lights[chosen])

@@ -24,6 +24,8 @@ Floats = NDArray[np.float32]
 
 # share by which a further sharp lobe must lower the differences across its own shadow
 _LEAST_SHADOW_GAIN = 0.15
+# what it may leave of them where it lowers no other difference
+_PLAIN_SHADOW = 0.5
 # share by which a sun must lower the neighbour loss; the first need not if its shadow shows
 _LEAST_GAIN = 0.02
 # gain in the scan, over `_LEAST_GAIN`, that a further sun must have to be tried. With all lights
@@ -69,9 +71,9 @@ def find_suns(problem: Problem, config: AppearanceConfig, seed: int) -> Light:
         refined = _searched(problem, light, config, index, seed)
         best = _best_addition(problem, light, refined, trial)
         is_known = index == 0 and scene.sun is not None
-        if best is None or (best.loss > light.loss and not is_known):
+        if best is None:
             break
-        is_seen = _casts_shadow(problem, light, best)
+        is_seen = left_across_shadow(problem, light, best) < 1 - _LEAST_SHADOW_GAIN
         gains = 1 - best.loss / light.loss > _LEAST_GAIN
         # The first sun may be known from its shadow, however small, or from its shading alone, as
         # on a lone convex object; a further one needs both.
@@ -110,12 +112,12 @@ def _promising(candidates: list[SunCandidate], *, is_first: bool) -> list[SunCan
     return [candidate for candidate in candidates if candidate.gain > least]
 
 
-def _casts_shadow(problem: Problem, before: Light, after: Light) -> bool:
-    """Whether the photographs show the shadow of the sun that was added last."""
+def left_across_shadow(problem: Problem, before: Light, after: Light) -> float:
+    """Share of the differences across the shadow of the sun added last that this sun leaves."""
     # a further lobe lowers the loss wherever the mesh is wrong; its own shadow tells a light
     (pairs,) = Sunlight.of(problem, after.axes[-1:]).across_shadows()
     if not len(pairs.first):
-        return False
+        return 1.0
     rows = problem.scene.rows
     radiance = problem.rows_radiance(rows)
     weights = PairWeights.of(pairs, radiance.clipped)
@@ -123,13 +125,18 @@ def _casts_shadow(problem: Problem, before: Light, after: Light) -> bool:
     for light in (before, after):
         log_albedo = log_ratio(radiance.linear, light.irradiance(problem, rows))
         losses.append(float(weights.loss(log_albedo)))
-    return losses[1] < (1 - _LEAST_SHADOW_GAIN) * losses[0]
+    return losses[1] / max(losses[0], 1e-9)
 
 
 def _best_addition(
     problem: Problem, light: Light, candidates: list[SunCandidate], iterations: int
 ) -> Light | None:
-    """The candidate whose full solve has the lowest loss, those that cast a shadow first."""
+    """The candidate whose full solve has the lowest loss, those that cast a shadow first.
+
+    If all have a higher loss than without, that which evens its shadow best, by half or more: what
+    mirrors or is nearly black may outweigh a shadow that everybody sees. A sun that the user knows
+    needs no reason.
+    """
 
     def may_be(candidate: SunCandidate) -> bool:
         # The search may have led it below the ground.
@@ -139,14 +146,19 @@ def _best_addition(
             SEPARATION
         )
 
-    def solved(candidate: SunCandidate) -> tuple[tuple[bool, float], Light]:
+    def solved(candidate: SunCandidate) -> tuple[float, Light]:
         axes = np.concatenate([light.axes, candidate.axis[None]])
         sharpness = np.append(light.sharpness, np.float32(_SHARPNESS))
         tried = fit(problem, axes, sharpness, iterations)
-        return (not _casts_shadow(problem, light, tried), tried.loss), tried
+        return left_across_shadow(problem, light, tried), tried
 
     tried = side_by_side(solved, filter(may_be, candidates))
-    return min(tried, key=lambda one: one[0])[1] if tried else None
+    is_known = problem.scene.sun is not None and not len(light.axes)
+    lower = [one for one in tried if is_known or one[1].loss <= light.loss]
+    if lower:
+        return min(lower, key=lambda one: (one[0] >= 1 - _LEAST_SHADOW_GAIN, one[1].loss))[1]
+    plain = [one for one in tried if one[0] < _PLAIN_SHADOW]
+    return min(plain, key=lambda one: one[0])[1] if plain else None
 
 
 def polish(problem: Problem, light: Light, config: AppearanceConfig, seed: int) -> Light:
