@@ -8,13 +8,12 @@ from collections.abc import Mapping, Sequence
 from statistics import median
 from typing import Any
 
-import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import StrMethodFormatter
 
-from robir_bench.distribution import estimate, quantile
+from robir_bench.distribution import estimate, quantile, worst_tenth
 from robir_bench.table import Record, value
 from robir_bench.truth.scores import ALBEDO, RERENDER, SECONDS, SHADOW, Score
 
@@ -209,7 +208,7 @@ def _draw_median(
     axes.errorbar(
         middle, [figure.value], yerr=reach, linestyle="", markersize=8, capsize=2.5, **style
     )
-    tenth = float(np.quantile(values, 0.1 if score.best == "high" else 0.9))
+    tenth = worst_tenth(values, lambda value: -value if score.best == "high" else value)
     axes.plot(middle, [tenth], marker="_", markersize=12, linestyle="", color=style["color"])
 
 

@@ -38,6 +38,12 @@ def quantile(share: float) -> Statistic:
     return lambda samples: np.quantile(samples, share, axis=-1)
 
 
+def worst_tenth(values: Sequence[float], badness: Callable[[float], float]) -> float:
+    """The value that nine in ten, or more, are no worse than; `badness` is larger for worse."""
+    ranked = sorted(values, key=badness)
+    return ranked[-(-9 * len(ranked) // 10) - 1]
+
+
 def mean(samples: Floats) -> Floats:
     """The statistic that is a share where samples are 0 and 1."""
     return samples.mean(axis=-1)

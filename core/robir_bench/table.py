@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from robir_bench.distribution import estimate, mean, quantile
+from robir_bench.distribution import estimate, mean, quantile, worst_tenth
 from robir_bench.plan import OURS
 from robir_bench.truth.scores import ALBEDO, COSTS, LEVEL_SCORES, RAW_ALBEDO, SCORES, SECONDS, Score
 
@@ -147,8 +147,9 @@ def _summarised(score: Score, members: Sequence[Record], name: str) -> str:
         figure = estimate(values, quantile(0.5))
         assert figure is not None
         return figure.text(score.digits)
-    ranked = sorted(values, key=score.badness)
-    return score.text(ranked[-1] if name == "worst" else ranked[-(-9 * len(ranked) // 10) - 1])
+    if name == "worst":
+        return score.text(max(values, key=score.badness))
+    return score.text(worst_tenth(values, score.badness))
 
 
 def _against_each(records: Sequence[Record]) -> list[Table]:
