@@ -11,7 +11,7 @@ from typing import Any
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import StrMethodFormatter
+from matplotlib.ticker import LogLocator, StrMethodFormatter
 
 from robir_bench.distribution import estimate, quantile, worst_tenth
 from robir_bench.table import Record, value
@@ -123,6 +123,7 @@ def cost_growth(records: Sequence[Record]) -> str:
         left.set_xscale("log")
         left.set_yscale("log")
         for axis in (left.xaxis, left.yaxis):
+            axis.set_minor_locator(LogLocator(subs=(2.0, 5.0)))
             axis.set_major_formatter(StrMethodFormatter("{x:.2g}"))
             axis.set_minor_formatter(StrMethodFormatter("{x:.2g}"))
         left.set_xlabel("amount, of the largest")
