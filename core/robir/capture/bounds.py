@@ -284,10 +284,11 @@ Carved = Callable[[Array, float], NDArray[np.bool_]]
 
 def enclosing(carved: Carved, cells: Array, half: float) -> Enclosed:
     """Sphere about what is `carved` of cells (N, 3), of half a side, divided `_LEVELS` times."""
-    for whole in range(_LEVELS + 1):
-        found = _divided(carved, cells, half, whole)
+    found = _divided(carved, cells, half, 0)
+    for whole in range(1, _LEVELS + 1):
         if found.is_certain:
             break
+        found = _divided(carved, cells, half, whole)
     return found
 
 
