@@ -4,10 +4,11 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from statistics import median
 from typing import Any
 
+import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -162,7 +163,7 @@ def svg(figure: Figure) -> str:
 def _draw_panel(
     axes: Axes, score: Score, records: Sequence[Record], methods: Sequence[str]
 ) -> None:
-    found = medians(score, records)
+    found, sign = medians(score, records), -1.0 if score.best == "high" else 1.0
     for index, method in enumerate(methods):
         style: dict[str, Any] = {
             "color": _PALETTE[index % len(_PALETTE)],
@@ -172,9 +173,8 @@ def _draw_panel(
         known = [point for point in points if point is not None]
         axes.plot(*_columns(known), linestyle="", markersize=3.5, alpha=0.35, **style)
         if method in found:
-            _draw_median(axes, score, known, {**style, "label": method})
+            _draw_median(axes, found[method], _columns(known)[1], sign, label=method, **style)
     middle = list(found.values())
-    sign = -1.0 if score.best == "high" else 1.0
     front = [middle[i] for i in pareto_front([(s, sign * v) for s, v in middle])]
     axes.plot(
         *_columns(front),
@@ -198,19 +198,22 @@ def _draw_panel(
 
 
 def _draw_median(
-    axes: Axes, score: Score, points: Sequence[tuple[float, float]], style: Mapping[str, Any]
+    axes: Axes, middle: tuple[float, float], values: Sequence[float], sign: float, **style: Any
 ) -> None:
-    """The median of a method's runs with its interval, and what nine in ten are no worse than."""
-    seconds, values = _columns(points)
+    """A method's medians, its values' interval, and what nine in ten are no worse than.
+
+    Values times `sign` are larger for worse.
+    """
     figure = estimate(values, quantile(0.5))
-    assert figure is not None
-    low, high = (figure.value if end is None else end for end in (figure.low, figure.high))
-    middle, reach = [median(seconds)], [[figure.value - low], [high - figure.value]]
+    reach = [0.0, 0.0]
+    if figure is not None and figure.low is not None and figure.high is not None:
+        reach = [figure.value - figure.low, figure.high - figure.value]
+    seconds, value = middle
     axes.errorbar(
-        middle, [figure.value], yerr=reach, linestyle="", markersize=8, capsize=2.5, **style
+        [seconds], [value], np.transpose([reach]), linestyle="", markersize=8, capsize=2.5, **style
     )
-    tenth = worst_tenth(values, lambda value: -value if score.best == "high" else value)
-    axes.plot(middle, [tenth], marker="_", markersize=12, linestyle="", color=style["color"])
+    tenth = worst_tenth(values, lambda value: sign * value)
+    axes.plot([seconds], [tenth], marker="_", markersize=12, linestyle="", color=style["color"])
 
 
 def tidy(axes: Axes) -> None:

@@ -271,12 +271,11 @@ def _refined(silhouettes: Sequence[Silhouette], cells: Array, half: float, disse
 
 
 class Enclosed(NamedTuple):
-    """The sphere about cells of half a side, and whether cells that were left out lie within."""
+    """The sphere about cells of half a side."""
 
     centre: Array
     radius: float
     half: float
-    is_certain: bool
 
 
 Carved = Callable[[Array, float], NDArray[np.bool_]]
@@ -284,36 +283,32 @@ Carved = Callable[[Array, float], NDArray[np.bool_]]
 
 def enclosing(carved: Carved, cells: Array, half: float) -> Enclosed:
     """Sphere about what is `carved` of cells (N, 3), of half a side, divided `_LEVELS` times."""
-    found = _divided(carved, cells, half, 0)
-    for whole in range(1, _LEVELS + 1):
-        if found.is_certain:
-            break
-        found = _divided(carved, cells, half, whole)
-    return found
+    tries = (_divided(carved, cells, half, whole) for whole in range(_LEVELS + 1))
+    return next(found for found in tries if found is not None)
 
 
-def _divided(carved: Carved, cells: Array, half: float, whole: int) -> Enclosed:
+def _divided(carved: Carved, cells: Array, half: float, whole: int) -> Enclosed | None:
     """Sphere about cells (N, 3), all divided in the first `whole` turns, then the outermost.
 
-    These decide it while it shrinks by the diagonal of a cell at most. Thin parts may vanish at
-    once.
+    These decide it while it shrinks by the diagonal of a cell at most; None where it shrinks by
+    more, as thin parts vanish at once.
     """
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     centre, radius = enclosing_sphere(cells)
-    is_certain = True
     for level in range(_LEVELS):
         if half <= _FINEST * np.abs(centre).max():
             break  # cells that coincide as numbers have no hull, and eight times as many each time
-        diagonal = 2 * np.sqrt(3.0) * half
+        diagonal, least = 2 * np.sqrt(3.0) * half, 0.0
         if level >= whole:
-            cells = cells[np.linalg.norm(cells - centre, axis=1) >= radius - 2 * diagonal]
+            least = radius - diagonal
+            cells = cells[np.linalg.norm(cells - centre, axis=1) >= least - diagonal]
         half = 0.5 * half
         children = (cells[:, None, :] + half * corners).reshape(-1, 3)
         children = children[carved(children, half)]
         if len(children) == 0:
-            is_certain = level < whole
-            break
-        cells, before = children, radius
+            return None if level >= whole else Enclosed(centre, radius, half)
+        cells = children
         centre, radius = enclosing_sphere(cells)
-        is_certain &= level < whole or radius >= before - diagonal
-    return Enclosed(centre, radius, half, is_certain)
+        if radius < least:
+            return None
+    return Enclosed(centre, radius, half)

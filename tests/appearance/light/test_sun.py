@@ -120,9 +120,9 @@ def test_a_plain_shadow_tells_a_sun_that_lowers_no_other_difference(monkeypatch,
         return lights[int(axis[-1].argmax())]
 
     monkeypatch.setattr(sun_search, "fit", fitted)
-    monkeypatch.setattr(sun_search, "left_across_shadow", lambda _, before, after: after.left)
+    monkeypatch.setattr(sun_search, "_left_across_shadow", lambda _, before, after: after.left)
     before = SimpleNamespace(axes=axes[:0], sharpness=np.zeros(0, np.float32), loss=1.0)
     problem = SimpleNamespace(scene=SimpleNamespace(sun=None))
     candidates = [SunCandidate(axis=axis, loss=1.0, gain=0.0) for axis in axes]
     best = sun_search._best_addition(problem, before, candidates, 1)
-    assert best is (None if chosen is None else lights[chosen])
+    assert (best and best[1]) is (None if chosen is None else lights[chosen])

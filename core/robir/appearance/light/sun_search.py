@@ -69,11 +69,11 @@ def find_suns(problem: Problem, config: AppearanceConfig, seed: int) -> Light:
     losses = [light.loss]
     for index in range(config.num_sharp_lobes):
         refined = _searched(problem, light, config, index, seed)
-        best = _best_addition(problem, light, refined, trial)
-        is_known = index == 0 and scene.sun is not None
-        if best is None:
+        addition = _best_addition(problem, light, refined, trial)
+        if addition is None:
             break
-        is_seen = left_across_shadow(problem, light, best) < 1 - _LEAST_SHADOW_GAIN
+        left, best = addition
+        is_known, is_seen = _is_told(problem, light), _shows(left)
         gains = 1 - best.loss / light.loss > _LEAST_GAIN
         # The first sun may be known from its shadow, however small, or from its shading alone, as
         # on a lone convex object; a further one needs both.
@@ -82,6 +82,11 @@ def find_suns(problem: Problem, config: AppearanceConfig, seed: int) -> Light:
         light = best
         losses.append(light.loss)
     return replace(light, history=tuple(losses))
+
+
+def _is_told(problem: Problem, light: Light) -> bool:
+    """Whether the sun to be added to a light is the one that the user knows."""
+    return problem.scene.sun is not None and not len(light.axes)
 
 
 def _searched(
@@ -112,7 +117,12 @@ def _promising(candidates: list[SunCandidate], *, is_first: bool) -> list[SunCan
     return [candidate for candidate in candidates if candidate.gain > least]
 
 
-def left_across_shadow(problem: Problem, before: Light, after: Light) -> float:
+def _shows(left: float) -> bool:
+    """Whether the photographs show a shadow, by the share of the differences across it left."""
+    return left < 1 - _LEAST_SHADOW_GAIN
+
+
+def _left_across_shadow(problem: Problem, before: Light, after: Light) -> float:
     """Share of the differences across the shadow of the sun added last that this sun leaves."""
     # a further lobe lowers the loss wherever the mesh is wrong; its own shadow tells a light
     (pairs,) = Sunlight.of(problem, after.axes[-1:]).across_shadows()
@@ -130,12 +140,12 @@ def left_across_shadow(problem: Problem, before: Light, after: Light) -> float:
 
 def _best_addition(
     problem: Problem, light: Light, candidates: list[SunCandidate], iterations: int
-) -> Light | None:
+) -> tuple[float, Light] | None:
     """The candidate whose full solve has the lowest loss, those that cast a shadow first.
 
     If all have a higher loss than without, that which evens its shadow best, by half or more: what
     mirrors or is nearly black may outweigh a shadow that everybody sees. A sun that the user knows
-    needs no reason.
+    needs no reason. With the share of the differences across its shadow that it leaves.
     """
 
     def may_be(candidate: SunCandidate) -> bool:
@@ -150,15 +160,15 @@ def _best_addition(
         axes = np.concatenate([light.axes, candidate.axis[None]])
         sharpness = np.append(light.sharpness, np.float32(_SHARPNESS))
         tried = fit(problem, axes, sharpness, iterations)
-        return left_across_shadow(problem, light, tried), tried
+        return _left_across_shadow(problem, light, tried), tried
 
     tried = side_by_side(solved, filter(may_be, candidates))
-    is_known = problem.scene.sun is not None and not len(light.axes)
+    is_known = _is_told(problem, light)
     lower = [one for one in tried if is_known or one[1].loss <= light.loss]
     if lower:
-        return min(lower, key=lambda one: (one[0] >= 1 - _LEAST_SHADOW_GAIN, one[1].loss))[1]
+        return min(lower, key=lambda one: (not _shows(one[0]), one[1].loss))
     plain = [one for one in tried if one[0] < _PLAIN_SHADOW]
-    return min(plain, key=lambda one: one[0])[1] if plain else None
+    return min(plain, key=lambda one: one[0], default=None)
 
 
 def polish(problem: Problem, light: Light, config: AppearanceConfig, seed: int) -> Light:

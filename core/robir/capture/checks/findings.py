@@ -252,8 +252,7 @@ def place_object(frames: FrameSet, views: Views) -> tuple[Views, Bounds | None, 
         message = f"What all masks allow to be there explains only {100 * hull.strict:.0f} % of a "
         cure = "Check that masks and photographs are paired rightly and that the poses are good."
         findings.append(warning("masks-disagree", message + "mask", cure))
-    train = [view for view in views if view.split == "train"]
-    odd = _odd(train, hull)
+    train, odd = _train(views), _odd(views, hull)
     message, cure = "masks show more than the others leave room for", "Check these masks and poses."
     findings += _of("warning", "odd-masks", odd, len(train), message, cure)
     sphere = hull.sphere
@@ -265,9 +264,15 @@ def place_object(frames: FrameSet, views: Views) -> tuple[Views, Bounds | None, 
     return views, replace(sphere, is_limit=False), findings
 
 
-def _odd(train: Sequence[View], hull: Hull) -> list[str]:
+def _train(views: Views) -> Views:
+    """The views that are fitted, whose masks make the hull."""
+    return tuple(view for view in views if view.split == "train")
+
+
+def _odd(views: Views, hull: Hull) -> list[str]:
     """Names of views that a hull does not explain the masks of."""
-    return [v.name for v, share in zip(train, hull.agreement, strict=True) if share < _EXPLAINED]
+    pairs = zip(_train(views), hull.agreement, strict=True)
+    return [view.name for view, share in pairs if share < _EXPLAINED]
 
 
 def _without_misplaced(
@@ -278,7 +283,7 @@ def _without_misplaced(
     On things that look alike from several sides a photograph may be put on the wrong one, and its
     mask would cut off what all others show.
     """
-    odd = _odd([view for view in views if view.split == "train"], hull)
+    odd = _odd(views, hull)
     if frames.format != PHOTOGRAPHS_ALONE or hull.strict >= GOOD_AGREEMENT or not odd:
         return views, hull, []
     rest = tuple(view for view in views if view.name not in odd)
@@ -292,7 +297,7 @@ def _without_misplaced(
 
 
 def _hull(frames: FrameSet, views: Views) -> Hull | None:
-    train = [view for view in views if view.split == "train"]
+    train = _train(views)
     start = frames.sphere
     if start is None and len(frames.points):
         start = sphere_from_points(frames.points, train)
