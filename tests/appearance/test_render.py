@@ -58,7 +58,6 @@ def shown():
     values = TexelAlbedo(
         albedo=np.stack([PAINT, METAL]),
         coverage=np.ones(2, np.int64),
-        disagreement=0 * texels,
         read=np.stack([PAINT, METAL]),
         uncertainty=0 * texels,
         roughness=np.full(2, ROUGHNESS, np.float32),

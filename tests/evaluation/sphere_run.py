@@ -67,7 +67,6 @@ def sphere_textures() -> dict[str, np.ndarray]:
         "roughness": np.where(inside, np.where(board, 0.7, 0.4), 0.0),
         "metallic": np.zeros((TEXELS, TEXELS)),
         "coverage": np.where(inside, 6.0, 0.0),
-        "disagreement": np.where(inside, 0.1, 0.0),
         "uncertainty": np.where(inside, 0.1, 0.0),
     }
     return {name: array.astype(np.float32) for name, array in value.items()} | {"inside": inside}

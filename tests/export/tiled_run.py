@@ -61,7 +61,6 @@ def tiled_textures() -> dict[str, np.ndarray]:
         "roughness": np.where(inside, 0.2 + 0.2 * cell, 0.0).astype(np.float32),
         "metallic": flat,
         "coverage": np.where(inside, 6.0, 0.0).astype(np.float32),
-        "disagreement": flat,
         "uncertainty": np.where(inside, 0.1, 0.0).astype(np.float32),
         "inside": inside,
     }

@@ -330,9 +330,8 @@ def _joined(
             getattr(other.values, name),
             getattr(asset.values, name),
         )
-        for name in ("albedo", "disagreement", "read", "uncertainty", "roughness",
-                     "metallic")
-    }  # fmt: skip
+        for name in ("albedo", "read", "uncertainty", "roughness", "metallic")
+    }
     return replace(asset, specular=specular, values=replace(asset.values, **values))
 
 

@@ -236,7 +236,6 @@ def _write_textures(
             roughness=square(values.roughness),
             metallic=square(values.metallic),
             coverage=square(values.coverage),
-            disagreement=square(values.disagreement),
             uncertainty=square(values.uncertainty),
             inside=inside,
             specular=np.float32(specular.has_highlights),

@@ -33,7 +33,7 @@ _BY_VIEW = "steps", "slope_steps"
 _NORMALS = {"normals": "f V 3"}
 _TEXTURES = {
     "inside": "b T T", "albedo_linear": "f T T 3", "roughness": "f T T", "metallic?": "f T T",
-    "coverage?": "f T T", "disagreement?": "f T T", "uncertainty?": "f T T", "specular?": "f",
+    "coverage?": "f T T", "uncertainty?": "f T T", "specular?": "f",
 }  # fmt: skip
 
 SUB_PIXELS = 3  # rays along either side of a pixel whose mean a layer holds, as in a renderer

@@ -50,7 +50,7 @@ def run(context: StageContext[ExportConfig]) -> dict[str, Any]:
     exposure = stored_exposure(paths.stage("appearance") / "exposure.json")
     judged = capture.without(exposure["other_light"])
     mesh = result_mesh(paths, capture.bounds)
-    arrays = load_textures(paths, "metallic", "coverage", "uncertainty", "disagreement")
+    arrays = load_textures(paths, "metallic", "coverage", "uncertainty")
     report.progress(0.05, "writing textures and the asset")
     textures = tile_textures(arrays, mesh.tiles, len(judged.train), paths.normal_map)
     write_tiles(textures, mesh.tiles, paths.textures)

@@ -70,12 +70,13 @@ SIGNS: dict[str, Sign] = {
         message="the re-render of held-out photographs reaches only {value:.1f} dB",
         cure="look at the report: what differs there the model cannot explain",
     ),
-    "disagreement": Sign(
-        limit=0.195,
-        near=0.15,
-        reason="photographs disagree about how bright the same spot is",
-        message="photographs disagree about the brightness of the same spot by {value:.0%}",
-        cure="lock exposure and white balance while photographing, and check the poses",
+    "albedo": Sign(
+        limit=0.16,
+        near=0.12,
+        reason="the albedo is uncertain",
+        message="by its own uncertainty the albedo is {value:.2f} off, where white is 1",
+        cure="see where in uncertainty.png; photograph in even light and from more sides, and lock "
+        "exposure and white balance",
     ),
     "views": Sign(
         limit=3.0,
@@ -171,7 +172,7 @@ def signs(
     if rerender is not None:
         values["rerender"] = rerender
     if seen.any():
-        values["disagreement"] = float(arrays["disagreement"][seen].mean())
+        values["albedo"] = _albedo_error(arrays["albedo_linear"][seen], arrays["uncertainty"][seen])
         values["views"] = float(arrays["coverage"][seen].mean())
     values["clipped"] = clipped_share(views)
     return values
@@ -196,6 +197,11 @@ def paint(evidence: list[dict[str, Any]]) -> dict[str, float]:
 def shown(last_word: dict[str, Any] | None) -> dict[str, float]:
     """Share of the surface shown worse than by the mean of its photographs, by last_word.json."""
     return {} if last_word is None else {"shown": float(last_word["unexplained"])}
+
+
+def _albedo_error(albedo: Array, uncertainty: Array) -> float:
+    """Root mean square error of albedo (N, 3) by the standard error (N,) of its logarithm."""
+    return float(np.sqrt(((albedo * uncertainty[:, None]) ** 2).mean()))
 
 
 def _outline(mesh: Mesh, views: tuple[View, ...]) -> float:

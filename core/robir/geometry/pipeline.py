@@ -65,6 +65,9 @@ BRIGHTNESS: tuple[Step[Capture], ...] = (
 
 # distance from the plane within which a surface may be ground that the fit left bumpy (cells)
 _BUMPY = 4.0
+# lead in standard errors from which the flatter ground is taken: below what hangs over it few
+# photographs see it, and what stands there leads by 3 or more
+_FLATTER = -1.0
 _UNSEEN = 0.1  # distance that fewer faces may move the surface (pixels of the finest photographs)
 _BUMPY_GAIN = 1.1  # times as many columns as are ground for certain from which that is asked
 
@@ -160,11 +163,13 @@ def _flatten_ground(state: FitLevel) -> FitLevel:
     if not ground.is_flat(lattice.cell, top, columns):
         return replace(state, backdrop=None)
     flat = ground.flatten(lattice, sdf, columns)
+    # glossy or plain ground is bumpy where no photograph's foot tells that it is ground
     nearly = ground.nearly(top, columns, _BUMPY * lattice.cell)
-    if nearly.sum() > _BUMPY_GAIN * columns.sum():
-        # glossy or plain ground is bumpy where no photograph's foot tells that it is ground
-        flatter = ground.flatten(lattice, sdf, nearly)
-        if state.selection.is_better(Sampled(lattice, flatter), Sampled(lattice, flat)):
+    overhung = ground.overhung(lattice, sdf, nearly)
+    if (nearly | np.isfinite(overhung)).sum() > _BUMPY_GAIN * columns.sum():
+        flatter = ground.flatten(lattice, sdf, nearly, overhung)
+        surfaces = Sampled(lattice, flatter), Sampled(lattice, flat)
+        if state.selection.is_better(*surfaces, least=_FLATTER):
             flat = flatter
     return state.mended(flat)
 

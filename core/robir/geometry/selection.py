@@ -174,9 +174,12 @@ class Selection:
         """Whether what is mirrored makes predictions better by more than a standard error."""
         return self._coarse.predictions.mirroring(smooth_surface(surface)) > 1.0
 
-    def is_better(self, surface: Sampled, other: Sampled) -> bool:
-        """Whether photographs predict each other better over a surface, what it bends counted."""
-        return self._coarse.lead_over(smooth_surface(other), smooth_surface(surface)) > 0
+    def is_better(self, surface: Sampled, other: Sampled, least: float = 0.0) -> bool:
+        """Whether photographs predict each other better over a surface, what it bends counted.
+
+        By more than `least`, in standard errors; below zero they need only not speak against it.
+        """
+        return self._coarse.lead_over(smooth_surface(other), smooth_surface(surface)) > least
 
     def has_better(self, field: Sampled) -> bool:
         """Whether depth maps or hull are better than a fit; only the first level is compared."""

@@ -78,7 +78,6 @@ def solved(mesh: Mesh) -> tuple[np.ndarray, TexelAlbedo]:
     return inside, TexelAlbedo(
         albedo=means[inside].astype(np.float32),
         coverage=np.full(count, 7),
-        disagreement=flat,
         read=means[inside].astype(np.float32),
         uncertainty=flat,
         roughness=flat,

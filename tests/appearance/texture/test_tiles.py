@@ -83,7 +83,7 @@ def test_finer_texels_are_read_from_their_own_tile():
     paint = np.where((np.nonzero(held)[1] < 4)[:, None], 0.2, 0.6) * np.ones(3, np.float32)
     flat = np.zeros(len(paint), np.float32)
     values = TexelAlbedo(
-        albedo=paint, coverage=flat.astype(np.int64), disagreement=flat, read=paint,
+        albedo=paint, coverage=flat.astype(np.int64), read=paint,
         uncertainty=flat, roughness=flat, metallic=flat,
     )  # fmt: skip
     tracer = EmbreeTracer(mesh.vertices, mesh.faces)

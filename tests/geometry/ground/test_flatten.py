@@ -27,6 +27,8 @@ def flattened(
     left_over: trimesh.Trimesh | None = None,
     paint: Callable[[np.ndarray], np.ndarray] = pale,
     dug: trimesh.Trimesh | None = None,
+    *,
+    below: bool = False,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The true surface of a solid on the ground, flattened by what the photographs show.
 
@@ -35,6 +37,7 @@ def flattened(
         left_over: What the surface has although it is in no photograph, or None.
         paint: Display colours of points.
         dug: What the surface lacks although it is there, or None.
+        below: Whether what hangs over the ground has bumps under it cut.
 
     Returns:
         Nodes (N, 3) with heights above the ground, values before and values after, (N,).
@@ -51,7 +54,8 @@ def flattened(
     backdrop = Backdrop(ground, photos)
     backdrop.clear(lattice, ground.flatten(lattice, hull, ground.start))
     settled = ground.settled(ground.heights(lattice, before), backdrop.known)
-    after = ground.flatten(lattice, before, settled)
+    overhung = ground.overhung(lattice, before, settled) if below else None
+    after = ground.flatten(lattice, before, settled, overhung)
     return nodes - [0.0, 0.0, TOP], before.numpy(), after.numpy()
 
 
@@ -96,3 +100,16 @@ def test_a_pit_below_a_table_is_filled() -> None:
     assert hole.sum() >= 8
     assert (before[hole] > 0).all()
     assert (after[hole] < 0).all()
+
+
+def test_a_bump_below_a_table_is_cut_and_the_table_stays() -> None:
+    table = trimesh.util.concatenate([drum(0.1, TOP, TOP + 0.3), drum(0.5, TOP + 0.29, TOP + 0.4)])
+    bump = trimesh.creation.box(extents=(0.16, 0.16, 0.08))
+    bump.apply_translation([0.3, 0.0, TOP + 0.04])
+    nodes, before, after = flattened(table, bump, below=True)
+    height, radius = nodes[:, 2], np.hypot(nodes[:, 0], nodes[:, 1])
+    raised = (before < 0) & (height > 0.01) & (height < 0.2) & (radius > 0.15)
+    assert raised.sum() >= 8
+    assert (after[raised] > 0).mean() > 0.9
+    stands = (before < 0) & (height > 0.01) & ((radius < 0.08) | (height > 0.29))
+    assert (after[stands] < 0).all()

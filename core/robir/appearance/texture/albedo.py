@@ -230,7 +230,6 @@ class TexelState:
         return TexelAlbedo(
             albedo=smooth.astype(np.float32),
             coverage=self.coverage,
-            disagreement=self.disagreement.astype(np.float32),
             read=self.albedo.astype(np.float32),
             uncertainty=standard_error(self.spread, changed, self.coverage, distance),
             roughness=self.material.roughness.astype(np.float32),

@@ -194,7 +194,6 @@ def _upsampled(
     return TexelAlbedo(
         albedo=at(values.albedo),
         coverage=np.rint(at(values.coverage)).astype(np.int64),
-        disagreement=at(values.disagreement),
         read=at(values.read),
         uncertainty=at(values.uncertainty),
         roughness=at(values.roughness),

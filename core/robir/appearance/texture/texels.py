@@ -41,8 +41,6 @@ class TexelAlbedo:
 
     albedo: Floats  # (N, 3) float32, linear Rec.709
     coverage: NDArray[np.int64]  # (N,) int, views that show the texel
-    # (N,) float32, one standard deviation of log albedo by views, shadow edges and dim light
-    disagreement: Floats
     read: Floats  # (N, 3) float32, albedo before smoothing
     uncertainty: Floats  # (N,) float32, one standard error of log albedo, see `standard_error`
     roughness: Floats  # (N,) float32

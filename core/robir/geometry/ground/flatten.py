@@ -19,6 +19,7 @@ from scipy.ndimage import (
     distance_transform_edt,
     label,
     map_coordinates,
+    minimum_filter,
 )
 from torch import Tensor
 
@@ -49,6 +50,8 @@ _LEAD = 0.01
 # steps between columns. A plate's rim hides the ground beside it, and a lump left beside the rim
 # must not be asked by photographs that see the rim; but lumps do not speak for each other.
 _TALLER = 2.0
+# room between bumpy ground and what hangs over it from which the two are apart (cells)
+_LEAST_ROOM = 2.0
 _LINE_STEPS = 40  # steps of the line from a spot to a camera that may be hidden
 _LEAST_COVERAGE = 0.9  # above which a mask holds a spot
 
@@ -71,19 +74,46 @@ class Columns:
 
     def tops(self, lattice: Lattice, sdf: Tensor, highest: float) -> Array:
         """Height of the uppermost surface of each column up to `highest`; -inf where none."""
-        heights = np.arange(-2.0 * self.spacing, highest, 0.5 * self.spacing)
         top = np.full(len(self.feet), -np.inf)
         above = np.full(len(self.feet), np.inf)
-        for height in heights[::-1]:
-            spots = np.concatenate([self.feet, np.full((len(self.feet), 1), height)], axis=1)
-            points = torch.from_numpy(self.plane.world(spots)).float()
-            value = lattice.trilinear(sdf.cpu(), points).numpy().astype(np.float64)
+        for height in self._heights(highest)[::-1]:
+            value = self._distances(lattice, sdf, height)
             crosses = (value < 0) & np.isneginf(top)
             with np.errstate(invalid="ignore"):
                 part = np.where(np.isfinite(above), -value / np.maximum(above - value, 1e-9), 0.0)
             top[crosses] = height + 0.5 * self.spacing * part[crosses]
             above = value
         return top.reshape(self.shape)
+
+    def overhung(self, lattice: Lattice, sdf: Tensor, highest: float) -> Array:
+        """Height half way between bumps of the ground and what hangs over them, of each column.
+
+        -inf where nothing hangs over it below `highest`, or what rises from it is no bump.
+        """
+        floor = np.full(len(self.feet), -np.inf)
+        ceiling = np.full(len(self.feet), np.inf)
+        below = np.full(len(self.feet), np.inf)
+        for height in self._heights(highest):
+            value = self._distances(lattice, sdf, height)
+            is_open = np.isfinite(floor)
+            floor[~is_open & (below < 0) & (value >= 0)] = height
+            ceiling[is_open & (value < 0) & np.isinf(ceiling)] = height
+            below = value
+        is_room = np.isfinite(ceiling) & (ceiling > floor + _LEAST_ROOM * self.spacing)
+        is_room &= floor < _STANDING
+        middle = np.full(len(self.feet), -np.inf)
+        middle[is_room] = 0.5 * (floor[is_room] + ceiling[is_room])
+        return middle.reshape(self.shape)
+
+    def _heights(self, highest: float) -> Array:
+        """Heights above the plane at which columns are looked at, from just below it."""
+        return np.arange(-2.0 * self.spacing, highest, 0.5 * self.spacing)
+
+    def _distances(self, lattice: Lattice, sdf: Tensor, height: float) -> Array:
+        """Signed distance (K,) of a surface at one height of all columns."""
+        spots = np.concatenate([self.feet, np.full((len(self.feet), 1), height)], axis=1)
+        points = torch.from_numpy(self.plane.world(spots)).float()
+        return lattice.trilinear(sdf.cpu(), points).numpy().astype(np.float64)
 
     def sample(self, values: Array, local: Array) -> Array:
         """Values of the columns (bilinear) at points (P, 3) of the plane's frame."""
@@ -173,20 +203,33 @@ class Ground:
         """
         return bool(np.median(top[settled]) > -_DEEPEST * cell)
 
-    def flatten(self, lattice: Lattice, sdf: Tensor, ground: Mask) -> Tensor:
+    def overhung(self, lattice: Lattice, sdf: Tensor, ground: Mask) -> Array:
+        """Height up to which columns under an overhang may be cut, beside `ground`; else -inf."""
+        middle = self.columns.overhung(lattice, sdf, _HIGHEST)
+        below = self.columns.inside & np.isfinite(middle) & ~ground
+        return np.where(below & self.joined(ground | below), middle, -np.inf)
+
+    def flatten(
+        self, lattice: Lattice, sdf: Tensor, ground: Mask, overhung: Array | None = None
+    ) -> Tensor:
         """Distances (N,), what stands above the ground over its columns cut, pits below it filled.
 
-        What hangs over them higher than columns are searched stays. Below things that ground
-        encloses there is ground too: pits are dug beside the feet of what hangs over them.
+        What hangs over them higher than columns are searched stays, and over those of `overhung`
+        what is higher than that. Below things that ground encloses there is ground too: pits are
+        dug beside the feet of what hangs over them.
         """
         columns = self.columns
         local = columns.plane.local(lattice.nodes().numpy().astype(np.float64))
+        middle = np.full(columns.shape, -np.inf) if overhung is None else overhung
+        is_below = np.isfinite(middle)
         reach, below = (
             columns.sample(_depth_inside(area) * columns.spacing, local)
-            for area in (ground, binary_fill_holes(ground))
+            for area in (ground | is_below, binary_fill_holes(ground))
         )
+        highest = minimum_filter(np.where(is_below, middle, _HIGHEST), 3)
         height, before = local[:, 2], sdf.detach().cpu().numpy()
-        cut = np.maximum(before, np.minimum(np.minimum(height, _HIGHEST - height), reach))
+        room = columns.sample(highest, local) - height
+        cut = np.maximum(before, np.minimum(np.minimum(height, room), reach))
         # pits are filled, but the rim itself is left to the masks
         inner = columns.spacing * 2.0 - below
         slab = np.maximum(np.maximum(height, inner), -height - 1.5 * lattice.cell)
