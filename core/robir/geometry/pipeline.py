@@ -153,15 +153,13 @@ def _restore_missing(state: FitLevel) -> FitLevel:
     return state.mended(restore_missing(state.surface, allowed, state.sampler))
 
 
-def _flatten_ground(state: FitLevel) -> FitLevel:
-    """A ground that turns out to be a bowl is none."""
-    if state.backdrop is None:
-        return state
-    ground, (lattice, sdf) = state.backdrop.ground, state.surface
+def _flat_ground(backdrop: Backdrop, selection: Selection, surface: Sampled) -> Tensor | None:
+    """Distances (N,) of a surface with its ground made flat; None where that is a bowl."""
+    ground, (lattice, sdf) = backdrop.ground, surface
     top = ground.heights(lattice, sdf)
-    columns = ground.settled(top, state.backdrop.known)
+    columns = ground.settled(top, backdrop.known)
     if not ground.is_flat(lattice.cell, top, columns):
-        return replace(state, backdrop=None)
+        return None
     flat = ground.flatten(lattice, sdf, columns)
     # glossy or plain ground is bumpy where no photograph's foot tells that it is ground
     nearly = ground.nearly(top, columns, _BUMPY * lattice.cell)
@@ -169,9 +167,29 @@ def _flatten_ground(state: FitLevel) -> FitLevel:
     if (nearly | np.isfinite(overhung)).sum() > _BUMPY_GAIN * columns.sum():
         flatter = ground.flatten(lattice, sdf, nearly, overhung)
         surfaces = Sampled(lattice, flatter), Sampled(lattice, flat)
-        if state.selection.is_better(*surfaces, least=_FLATTER):
+        if selection.is_better(*surfaces, least=_FLATTER):
             flat = flatter
-    return state.mended(flat)
+    return flat
+
+
+def _flatten_ground(state: FitLevel) -> FitLevel:
+    """A ground that turns out to be a bowl is none."""
+    if state.backdrop is None:
+        return state
+    flat = _flat_ground(state.backdrop, state.selection, state.surface)
+    return replace(state, backdrop=None) if flat is None else state.mended(flat)
+
+
+def _compare(state: FitLevel) -> FitLevel:
+    """The ground of depth maps is made flat before they are compared."""
+
+    def with_ground(surface: Sampled) -> Sampled:
+        if state.backdrop is None:
+            return surface
+        flat = _flat_ground(state.backdrop, state.selection, surface)
+        return surface if flat is None else surface._replace(values=flat)
+
+    return replace(state, has_ended=state.selection.has_better(state.surface, with_ground))
 
 
 # what is done at the end of every level of the fit, in this order
@@ -199,7 +217,7 @@ LEVEL: tuple[Step[FitLevel], ...] = (
         purpose="ends the fit where depth maps or masks alone explain photographs better",
         source="semi-global matching (Hirschmueller 2008), patch refinement (Furukawa 2010), "
         "visual hull (Laurentini 1994)",
-        run=lambda state: replace(state, has_ended=state.selection.has_better(state.surface)),
+        run=_compare,
     ),
 )
 

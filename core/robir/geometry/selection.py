@@ -181,8 +181,13 @@ class Selection:
         """
         return self._coarse.lead_over(smooth_surface(other), smooth_surface(surface)) > least
 
-    def has_better(self, field: Sampled) -> bool:
-        """Whether depth maps or hull are better than a fit; only the first level is compared."""
+    def has_better(
+        self, field: Sampled, finished: Callable[[Sampled], Sampled] = lambda surface: surface
+    ) -> bool:
+        """Whether depth maps or hull are better than a fit; only the first level is compared.
+
+        `finished` is what is done to the surface of depth maps first.
+        """
         if self._is_done:
             return False
         self._is_done = True
@@ -196,7 +201,7 @@ class Selection:
             return SurfaceCandidate(name, dense, ahead, bends / bending(dense.mesh))
 
         by_depth_maps = self._stereo or self._by_depth_maps
-        surfaces = {STEREO: by_depth_maps(), HULL: self._hulls[1]}
+        surfaces = {STEREO: finished(by_depth_maps()), HULL: self._hulls[1]}
         candidates = {
             name: candidate(
                 name, Dense(smooth_surface(one), (one.lattice.cell,), self._config.face_budget)

@@ -6,10 +6,12 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+import pytest
 import torch
 import trimesh
 
 from robir.geometry.ground.backdrop import Backdrop
+from robir.geometry.ground.plane import commonest
 from tests.geometry.scenes import disc, drum, ground_of
 
 TOP = -0.3  # height of the ground's surface
@@ -113,3 +115,19 @@ def test_a_bump_below_a_table_is_cut_and_the_table_stays() -> None:
     assert (after[raised] > 0).mean() > 0.9
     stands = (before < 0) & (height > 0.01) & ((radius < 0.08) | (height > 0.29))
     assert (after[stands] < 0).all()
+
+
+@pytest.mark.parametrize("thickness", [0.03, 0.12])
+def test_a_thick_ground_is_found_at_its_upper_edge(thickness: float) -> None:
+    board = trimesh.util.concatenate(
+        [drum(0.9, TOP - thickness, TOP), drum(0.2, TOP - 0.01, TOP + 0.3)]
+    )
+    ground, _, lattice, _ = ground_of(board, pale)
+    height = float(ground.columns.plane.origin @ [0.0, 0.0, 1.0])
+    assert height == pytest.approx(TOP, abs=0.4 * lattice.cell)
+
+
+def test_the_commonest_value_is_the_mean_of_the_densest_window() -> None:
+    values = np.array([-3.0, 0.0, 0.1, 2.0, 2.1, 2.2, 5.0])
+    assert commonest(values, 0.3) == pytest.approx(2.1)
+    assert commonest(values[:0], 0.3) == 0.0

@@ -199,9 +199,12 @@ class Ground:
         """Whether the present surface follows the plane, rather than lying in a bowl below it.
 
         The rim of a plate is as flat as that of a ground, and no mask shows the bowl within. The
-        fit digs it, though, wherever the photographs differ at the height of the plane.
+        fit digs it, though, wherever the photographs differ at the height of the plane. Where
+        hardly a column is settled all that are low tell it.
         """
-        return bool(np.median(top[settled]) > -_DEEPEST * cell)
+        shown = self.columns.inside & np.isfinite(top) & (top < _STANDING)
+        levels = [np.median(top[area]) for area in (settled & shown, shown) if area.any()]
+        return max(levels, default=-np.inf) > -_DEEPEST * cell
 
     def overhung(self, lattice: Lattice, sdf: Tensor, ground: Mask) -> Array:
         """Height up to which columns under an overhang may be cut, beside `ground`; else -inf."""

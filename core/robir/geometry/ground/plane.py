@@ -38,7 +38,9 @@ _NEAR_HULL = 0.6
 # length of that stretch up to which its middle is a touching point (unit frame)
 _LONGEST_STRETCH = 0.12
 _LEAST_TOUCHING = 100  # touching points that a plane is looked for among
-_LEAST_AGREEING = 60  # points that must lie in a plane, and on its upper edge to be fitted to that
+_LEAST_AGREEING = 60  # points that must lie in a plane
+_LEAST_UPPER = 30  # points of its upper edge from which it is fitted to that
+_THICKEST = 4.0  # height up to which the upper edge is looked for above the lower one (cells)
 _TRIALS = 600  # planes through three points that are tried
 _TOLERANCE = 0.5  # distance from a plane up to which points speak for it (cells)
 _LEAST_IN_FRONT = 0.9  # share of the cameras that must be on the plane's one side
@@ -161,11 +163,13 @@ def detect(
     if found is None:
         return None
     normal, offset = found
-    # the upper edge is what bears things: outline points whose surface faces up
+    # The upper edge is what bears things: outline points whose surface faces up. Most points may
+    # lie on the lower edge of a thick ground.
     height = points @ normal - offset
-    upper = np.abs(height) < 2.0 * cell
-    upper &= rays.outward[of_ray] @ normal > _LEAST_UPWARD
-    if upper.sum() >= _LEAST_AGREEING:
+    faces_up = rays.outward[of_ray] @ normal > _LEAST_UPWARD
+    edge = commonest(height[faces_up & (np.abs(height) < _THICKEST * cell)], cell)
+    upper = faces_up & (np.abs(height - edge) < 2.0 * cell)
+    if upper.sum() >= _LEAST_UPPER:
         width = _FIT_WIDTH * cell
         normal, offset = _refit(points[upper], normal, width)
         middle = np.median(points[upper], axis=0)
@@ -198,6 +202,17 @@ def _consensus(
         return None
     near = np.abs(points @ normals[first] - offsets[first]) < 2.0 * tolerance
     return _refit(points[near], normals[first], tolerance)
+
+
+def commonest(values: Array, width: float) -> float:
+    """Mean of the values (N,) about the one that has most others within a width; 0 without any."""
+    if not len(values):
+        return 0.0
+    ordered = np.sort(values)
+    first = np.searchsorted(ordered, ordered - width)
+    last = np.searchsorted(ordered, ordered + width, side="right")
+    best = int((last - first).argmax())
+    return float(ordered[first[best] : last[best]].mean())
 
 
 def _refit(points: Array, normal: Array, width: float) -> tuple[Array, float]:
