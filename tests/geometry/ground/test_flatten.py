@@ -132,3 +132,14 @@ def test_the_commonest_value_is_the_mean_of_the_densest_window() -> None:
     values = np.array([-3.0, 0.0, 0.1, 2.0, 2.1, 2.2, 5.0])
     assert commonest(values, 0.3) == pytest.approx(2.1)
     assert commonest(values[:0], 0.3) == 0.0
+
+
+def test_a_bowl_is_no_ground_and_bumps_above_the_plane_are() -> None:
+    bowl = trimesh.util.concatenate([disc(), drum(0.1, TOP, TOP + 0.3)])
+    ground, _, lattice, _ = ground_of(bowl, pale)
+    inside = ground.columns.inside
+    few = np.zeros_like(inside)
+    few[np.nonzero(inside)[0][0], np.nonzero(inside)[1][0]] = True
+    for height, is_flat in ((-np.inf, False), (-2.0, False), (0.0, True), (3.0, True)):
+        top = np.where(few, -np.inf, height * lattice.cell)
+        assert ground.is_flat(lattice.cell, top, few) == is_flat

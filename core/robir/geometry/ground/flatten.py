@@ -202,8 +202,8 @@ class Ground:
         fit digs it, though, wherever the photographs differ at the height of the plane. Where
         hardly a column is settled all that are low tell it.
         """
-        shown = self.columns.inside & np.isfinite(top) & (top < _STANDING)
-        levels = [np.median(top[area]) for area in (settled & shown, shown) if area.any()]
+        low = self.columns.inside & (top < _STANDING)
+        levels = [np.median(top[area]) for area in (settled, low) if area.any()]
         return max(levels, default=-np.inf) > -_DEEPEST * cell
 
     def overhung(self, lattice: Lattice, sdf: Tensor, ground: Mask) -> Array:
