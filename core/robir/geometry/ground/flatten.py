@@ -203,7 +203,7 @@ class Ground:
         hardly a column is settled all that are low tell it.
         """
         low = self.columns.inside & (top < _STANDING)
-        levels = [np.median(top[area]) for area in (settled, low) if area.any()]
+        levels = [float(np.median(top[area])) for area in (settled, low) if area.any()]
         return max(levels, default=-np.inf) > -_DEEPEST * cell
 
     def overhung(self, lattice: Lattice, sdf: Tensor, ground: Mask) -> Array:
