@@ -242,8 +242,12 @@ def place_object(frames: FrameSet, views: Views) -> tuple[Views, Bounds | None, 
         findings.append(note("pose-order", message + f"{100 * shares[1 - used]:.0f} %"))
     if hull is None or np.median(hull.agreement) < MIN_AGREEMENT:
         message = "The masks have no object in common: masks and poses do not belong together"
-        cure = "Check that masks and photographs are paired rightly, that white is the object, "
-        cure += "and that the poses follow the format's axes."
+        cure = "Check that masks and photographs are paired rightly and that white is the object. "
+        if frames.format == PHOTOGRAPHS_ALONE:
+            cure += "The poses were estimated here and may be wrong: put the object on a patterned "
+            cure += "cloth that stays in place, and photograph from more places."
+        else:
+            cure += "Check that the poses follow the format's axes."
         findings.append(error("masks-disagree", message, cure))
         return views, None, findings
     views, hull, about = _without_misplaced(frames, views, hull)
