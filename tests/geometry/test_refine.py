@@ -255,6 +255,7 @@ def test_the_rivals_take_the_place_of_a_worse_field_alone(capture, photos, monke
     lattice, radius = lattice_and_radius()
     hull = Sampled(lattice, radius - 0.63)
     depths = tuple(stereo_surfaces(photos, hull))  # the same for both fields
+    dented = tuple(one._replace(values=one.values + 0.05 * waves(one.lattice)) for one in depths)
     monkeypatch.setattr(selection, "stereo_surfaces", lambda *_, **__: depths)
     for dents, wins in ((0.0, False), (0.05, True)):
         rival = Selection(capture.train, photos, (hull, hull), CONFIG, holds_masks=True)
@@ -266,6 +267,12 @@ def test_the_rivals_take_the_place_of_a_worse_field_alone(capture, photos, monke
     mesh = post_processed(rival.best.dense, CONFIG, print, Pipeline())
     assert 1000 < len(mesh.faces) <= 24000
     assert roughness(mesh) < 0.02
+    # what is done to depth maps before they are compared counts
+    monkeypatch.setattr(selection, "stereo_surfaces", lambda *_, **__: dented)
+    mended = Selection(capture.train, photos, (hull, hull), CONFIG, holds_masks=True)
+    assert mended.has_better(field, lambda _: depths[-1])
+    assert mended.best.name == STEREO
+    assert mended.best.lead == pytest.approx(rival.best.lead)
     off = replace(CONFIG, stereo_side=0)
     silent = Selection(capture.train, photos, (hull, hull), off, holds_masks=True)
     assert not silent.has_better(field)
