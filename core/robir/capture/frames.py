@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robir.capture.camera import Camera
-from robir.capture.capture import Bounds, Finding
+from robir.capture.capture import PHOTOGRAPHS_ALONE, Bounds, Finding
 from robir.capture.refusal import CaptureRefusedError, refuse
 from robir.jobs.names import UnsafeNameError, checked_name, file_in
 
@@ -173,6 +173,11 @@ class FrameSet:
     # (N, 3) sparse surface points, capture frame; empty if the format has none
     points: Array = field(default_factory=lambda: np.zeros((0, 3)))
     findings: tuple[Finding, ...] = ()  # what the reader noticed
+
+    @property
+    def has_frame_of_ours(self) -> bool:
+        """Whether poses were found from the photographs, so that its frame means nothing."""
+        return self.format == PHOTOGRAPHS_ALONE
 
 
 def checked_lens(lens: Lens, path: Path, whose: str) -> Lens:

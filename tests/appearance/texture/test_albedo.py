@@ -15,7 +15,7 @@ from robir.appearance.light.lobes import Amplitudes, soft_transfer
 from robir.appearance.light.problem import make_problem, make_scene
 from robir.appearance.light.solver import Light
 from robir.appearance.material.specular import SpecularMaterial
-from robir.appearance.texture.albedo import _STEP, texel_albedo
+from robir.appearance.texture.albedo import _STEP, ALBEDO, TexelState, texel_albedo
 from robir.appearance.texture.residual_shading import smoothed_albedo, with_normals
 from robir.appearance.texture.shadow_edges import Reference, fill_clipped, solve_shadow_edges
 from robir.appearance.texture.texels import NORMAL_SCALE, Texels
@@ -199,23 +199,28 @@ def test_texels_of_a_lit_floor_have_their_paint():
     """Albedo is pi R / E, unseen texels borrow it."""
     problem, light, texels, views, matte, tracer = lit_floor(PAINTS, lambda at: at[:, 1] > 0)
     y = texels.position[:, 1]
-    values = texel_albedo((problem, light, matte), texels, views, tracer, Pipeline())
+    start = TexelState.of((problem, light, matte), texels, views, tracer)
+    state = Pipeline().run(ALBEDO, start)
+    values, disagreement = state.values, state.disagreement
     paint = PAINTS[(y > 0).astype(int)]
     inner = np.abs(y) > 0.05
     error = np.abs(values.albedo / paint - 1)
     assert error[inner].max() < 0.03
     unseen = values.coverage == 0
     assert 0 < unseen.mean() < 0.2
+    np.testing.assert_array_equal(disagreement[unseen], 1)
+    assert disagreement[inner & ~unseen].max() < 0.1
     seen_error = values.uncertainty[inner & ~unseen]
     assert seen_error.max() < 0.42
     assert np.all(values.uncertainty[unseen] > np.median(seen_error))
     np.testing.assert_allclose(values.roughness, 0.5, rtol=1e-6)
     # Views of a glossy surface agree as well as those of a dull one.
     glossy = replace(matte, floor=0.1 * problem.radiance.linear.numpy())
-    again = texel_albedo((problem, light, glossy), texels, views, tracer, Pipeline())
-    assert np.abs(again.albedo / values.albedo - 0.9)[inner & ~unseen].max() < 0.05
+    start = TexelState.of((problem, light, glossy), texels, views, tracer)
+    again = Pipeline().run(ALBEDO, start)
+    assert np.abs(again.values.albedo / values.albedo - 0.9)[inner & ~unseen].max() < 0.05
     np.testing.assert_allclose(
-        again.uncertainty[inner & ~unseen], values.uncertainty[inner & ~unseen], atol=1e-2
+        again.disagreement[inner & ~unseen], disagreement[inner & ~unseen], atol=1e-6
     )
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robir.capture.bounds import Hull, sphere_from_masks, sphere_from_points
-from robir.capture.capture import PHOTOGRAPHS_ALONE, Bounds, Finding, Level, View
+from robir.capture.capture import Bounds, Finding, Level, View
 from robir.capture.frames import Frame, FrameSet, pose_fault, posed_otherwise
 from robir.capture.masks.given import IGNORE
 from robir.capture.readers.files import children, without_others
@@ -66,7 +66,7 @@ def _check_unposed(frames: FrameSet) -> list[Finding]:
     """Photographs beside posed ones that have no pose themselves."""
     # NeRF-synthetic keeps depth and normal pictures beside the photographs; where the poses were
     # estimated here, what has none was named then.
-    if frames.format in ("nerf-synthetic", "nerfactor", PHOTOGRAPHS_ALONE):
+    if frames.has_frame_of_ours or frames.format in ("nerf-synthetic", "nerfactor"):
         return []
     images = [frame.image for frame in frames.frames]
     masks = [frame.mask for frame in frames.frames if frame.mask is not None]
@@ -243,7 +243,7 @@ def place_object(frames: FrameSet, views: Views) -> tuple[Views, Bounds | None, 
     if hull is None or np.median(hull.agreement) < MIN_AGREEMENT:
         message = "The masks have no object in common: masks and poses do not belong together"
         cure = "Check that masks and photographs are paired rightly and that white is the object. "
-        if frames.format == PHOTOGRAPHS_ALONE:
+        if frames.has_frame_of_ours:
             cure += "The poses were estimated here and may be wrong: put the object on a patterned "
             cure += "cloth that stays in place, and photograph from more places."
         else:
@@ -288,7 +288,7 @@ def _without_misplaced(
     mask would cut off what all others show.
     """
     odd = _odd(views, hull)
-    if frames.format != PHOTOGRAPHS_ALONE or hull.strict >= GOOD_AGREEMENT or not odd:
+    if not frames.has_frame_of_ours or hull.strict >= GOOD_AGREEMENT or not odd:
         return views, hull, []
     rest = tuple(view for view in views if view.name not in odd)
     other = _hull(frames, rest)

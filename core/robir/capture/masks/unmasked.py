@@ -17,7 +17,6 @@ from robir.capture.capture import (
     BACKDROP_MASKS,
     GUESSED_MASKS,
     MESH_MASKS,
-    PHOTOGRAPHS_ALONE,
     Finding,
     Split,
     View,
@@ -182,7 +181,7 @@ def with_guessed_masks(
         about = note(BACKDROP_MASKS, message + _where_masks(folder))
         return read_again(_cuts(chosen, loaded.views, beliefs, folder)), [about]
     seen, guess, fault = _guess(frames, loaded.views, config, progress)
-    if mesh is not None and frames.format == PHOTOGRAPHS_ALONE:
+    if mesh is not None and frames.has_frame_of_ours:
         # it stands in a frame of its own, and masks are what brings the cameras there
         mesh, fault = None, f"{fault}; the mesh cannot say, for masks tell where it stands"
     if guess is None and mesh is not None:
