@@ -35,8 +35,8 @@ class UpperIsMetal:
 
 
 @pytest.fixture(scope="module")
-def shown():
-    """One view: what was rendered, where its pixels lie on the ball, and the light."""
+def asset():
+    """The ball as reconstructed: problem, light, specular material and textured surface."""
     curve, light = curve_from_name("standard"), sun_and_uneven_sky()
     parts = [(lambda p: np.ones(len(p), bool), Material(PAINT, ROUGHNESS, 0.0))]
     scene, _ = ball(parts, light, curve, count=3000)
@@ -68,15 +68,26 @@ def shown():
     solid = trimesh.creation.icosphere(subdivisions=4, radius=0.8)
     mesh = plain_mesh(np.asarray(solid.vertices), np.asarray(solid.faces))
     tracer = EmbreeTracer(mesh.vertices, mesh.faces)
+    return problem, light, specular, (mesh, tracer, UpperIsMetal(mesh), values)
+
+
+def view_of(camera, mask):
+    """A held-out photograph, black."""
+    blank = np.zeros((camera.height, camera.width, 3), np.uint8)
+    return View(name="a", image_display=blank, mask=mask, camera=camera, split="held_out")
+
+
+@pytest.fixture(scope="module")
+def shown(asset):
+    """One view: what was rendered, where its pixels lie on the ball, and the light."""
+    problem, light, specular, surface = asset
+    _, tracer, *_ = surface
     camera = looking_at((2.6, -1.2, 0.4), size=48)
     origins, directions = camera.rays(camera.pixel_centres())
     hits = tracer.first_hits(origins.astype(np.float32), directions.astype(np.float32))
     shape = (camera.height, camera.width)
     mask = np.where(hits.face >= 0, 255, 0).astype(np.uint8).reshape(shape)
-    blank = np.zeros((*shape, 3), np.uint8)
-    view = View(name="a", image_display=blank, mask=mask, camera=camera, split="held_out")
-    surface = (mesh, tracer, UpperIsMetal(mesh), values)
-    (found,) = render_views(problem, light, specular, [view], surface)
+    (found,) = render_views(problem, light, specular, [view_of(camera, mask)], surface)
     position = origins + np.where(hits.face >= 0, hits.distance, 0)[:, None] * directions
     return found, position.reshape(*shape, 3), light
 
@@ -113,3 +124,11 @@ def test_the_whole_material_has_highlights_and_metal_besides(shown):
         matt = expected_codes(position[chosen], light, base, 0.0)
         off = np.abs(found.image[chosen] - whole).mean()
         assert off < 8 and off < 0.5 * np.abs(matt - whole).mean() + 4
+
+
+def test_a_photograph_that_was_placed_where_it_sees_nothing_is_empty(asset):
+    problem, light, specular, surface = asset
+    past = looking_at((0.0, -9.0, 6.0), target=(0.0, -9.0, 0.0), size=24)
+    view = view_of(past, np.full((24, 24), 255, np.uint8))
+    (found,) = render_views(problem, light, specular, [view], surface)
+    assert not found.alpha.any() and not found.image.any() and not found.diffuse.any()

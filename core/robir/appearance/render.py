@@ -183,7 +183,8 @@ def _picture(
     normals = np.stack(
         [np.bincount(seen.pixel, part, len(rows))[filled] for part in seen.points.normal.T], axis=1
     )
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True).clip(1e-6)
+    # sums over no points at all are whole numbers
+    normals = normals / np.linalg.norm(normals, axis=1, keepdims=True).clip(1e-6)
     first = torch.zeros(len(filled), dtype=torch.int64)
     off_axis = off_axis_codes(view.camera, centres)
     gain = problem.gains.at((view.name,), off_axis, normals.astype(np.float32), first)
