@@ -19,6 +19,7 @@ from robir.appearance.evidence import (
 )
 from robir.appearance.light.known_albedo import READ_ERROR
 from robir.appearance.light.lobes import NO_PRIOR, LightPrior
+from robir.appearance.light.near_lamp import with_near_lamp
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light, refit
 from robir.appearance.light.sun_search import polish
@@ -73,6 +74,22 @@ def solve(
 
 def _polish(state: Solution) -> Solution:
     return replace(state, light=polish(state.problem, state.light, state.config, state.seed))
+
+
+def _find_near_lamp(state: Solution) -> Solution:
+    problem, light = with_near_lamp(state.problem, state.light, state.config.iterations // 3)
+    if problem is state.problem:
+        return state
+    choice = Choice(
+        choice="distance of the lamp",
+        chosen=f"{problem.scene.lamp_distance:g} radii of the thing",
+        alternatives=("far, as a sun is",),
+        held_out_error=light.loss,
+        why=f"from afar neighbours' albedo differs by {state.light.loss:.3f}; the environment that "
+        "is exported shines as the lamp does on the middle of the thing",
+    )
+    choices = (*state.choices, choice)
+    return replace(state, problem=problem, matte=problem, light=light, choices=choices)
 
 
 def _by_every_sample(state: Solution) -> Solution:
@@ -131,6 +148,12 @@ SOLUTION: tuple[Step[Solution], ...] = (
         purpose="moves and sizes the suns with the whole light known",
         source="ours",
         run=_polish,
+    ),
+    Step(
+        name="near-lamp",
+        purpose="tells a lamp that stands near from a sun",
+        source="ours: inverse square law",
+        run=_find_near_lamp,
     ),
     Step(
         name="every-sample",

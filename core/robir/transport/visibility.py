@@ -107,29 +107,54 @@ def lobe_directions(axis: Floats, sharpness: float, count: int) -> Floats:
     return np.concatenate([along + aside, along - aside]).astype(np.float32)
 
 
+def towards_light(
+    position: Floats, direction: Floats, distance: float
+) -> tuple[Floats, Floats | float]:
+    """Unit direction of a light from points (N, 3), and its strength there over that at the origin.
+
+    Light in `direction` (3,) from the origin of the frame and `distance` away has one for every
+    point, (N, 3), and falls off by the square, (N,); one from infinitely afar has `direction`, and
+    1 everywhere.
+    """
+    if np.isinf(distance):
+        return direction, 1.0
+    aside = np.float32(distance) * direction - position
+    length = np.linalg.norm(aside, axis=1)
+    return aside / length[:, None], (np.float32(distance) / length) ** 2
+
+
+def cosines(normal: Floats, direction: Floats) -> Floats:
+    """Cosines (N,) of unit normals (N, 3) with one direction (3,), or with one each, (N, 3)."""
+    return normal @ direction if direction.ndim == 1 else np.einsum("nk,nk->n", normal, direction)
+
+
 def lobe_transfer(
     tracer: EmbreeTracer | None,
     position: Floats,
     normal: Floats,
     directions: Floats,
     offset: float,
+    distance: float = np.inf,
 ) -> Floats:
-    """Mean of visibility times cosine (N,), in [0, 1], over directions (J, 3) of a sharp lobe.
+    """Mean of visibility times cosine (N,) over directions (J, 3) of a sharp lobe.
 
-    Positions and unit normals are (N, 3). Each ray starts farther along itself, and nothing may lie
-    between there and what is straight above its point: starting straight above, it would see every
-    shadow nearer to what casts it, as under a higher sun.
+    Positions and unit normals are (N, 3). Light that stands `distance` from the frame's origin,
+    and not infinitely far, also falls off, so that the values may exceed 1. Each ray starts farther
+    along itself, and nothing may lie between there and what is straight above its point: starting
+    straight above, it would see every shadow nearer to what casts it, as under a higher sun.
     """
     total = np.zeros(len(position), np.float32)
-    beside = _beside_a_wall(tracer, position, normal, directions.mean(0), offset)
+    axis, _ = towards_light(position, directions.mean(0), distance)
+    beside = _beside_a_wall(tracer, position, normal, axis, offset)
     for direction in directions:
-        cosine = normal @ direction
+        ray, strength = towards_light(position, direction, distance)
+        cosine = cosines(normal, ray)
         lit = np.flatnonzero((cosine > 0) & ~beside)
         if tracer is not None and len(lit):
-            rays = np.broadcast_to(direction, (len(lit), 3))
-            start = position[lit] + _along(cosine[lit], offset) * direction
+            rays = np.broadcast_to(ray, position.shape)[lit]
+            start = position[lit] + _along(cosine[lit], offset) * rays
             lit = lit[~tracer.is_blocked(start, rays)]
-        total[lit] += cosine[lit]
+        total[lit] += (cosine * strength)[lit]
     return total / len(directions)
 
 
@@ -148,10 +173,11 @@ def _beside_a_wall(
     """Whether something lies between where rays start and what is straight above a point, (N,)."""
     # one ray a point, whatever the number of rays to the light: those of a sun start close together
     beside = np.zeros(len(position), bool)
-    cosine = normal @ axis
+    cosine = cosines(normal, axis)
     facing = np.flatnonzero(cosine > 0)
     if tracer is not None and len(facing):
-        aside = _along(cosine[facing], offset) * axis - offset * normal[facing]
+        towards = np.broadcast_to(axis, position.shape)[facing]
+        aside = _along(cosine[facing], offset) * towards - offset * normal[facing]
         reach = np.linalg.norm(aside, axis=1)
         above = position[facing] + offset * normal[facing]
         rays = aside / np.maximum(reach, 1e-12)[:, None]

@@ -25,7 +25,7 @@ from robir.appearance.photometry.statistics import (
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.maths.tone_curve import AbstractToneCurve
 from robir.transport.baked import Transport
-from robir.transport.visibility import lobe_directions, lobe_transfer
+from robir.transport.visibility import cosines, lobe_directions, lobe_transfer, towards_light
 from robir.workers import blocks, num_workers, side_by_side
 
 Floats = NDArray[np.float32]
@@ -61,6 +61,8 @@ class Scene:
     exposures: ExposureModel | None = None
     known_albedo: KnownAlbedo | None = None  # a spot whose albedo the user knows, if any
     sun: Floats | None = None  # (3,) unit, towards the first sun, if the user knows it
+    # of the one sharp light from the origin, unit frame: a lamp that stands near, or infinite
+    lamp_distance: float = np.inf
 
     def bounced(self, exitant: Tensor) -> Tensor:
         """Irradiance (S, 3) of all samples from what all of them radiate, (S, 3)."""
@@ -74,6 +76,18 @@ class Scene:
         rays = 2 * SUN_RAY_PAIRS
         return torch.from_numpy(self.sharp_transfer_at(points, axes, sharpness, rays))
 
+    def facing(self, points: tuple[Floats, Floats], axes: Floats) -> Floats:
+        """What points (N, 3) with normals (N, 3) would receive of each sharp lobe, (N, J).
+
+        Per unit of energy, were nothing between; below 0 where they face away.
+        """
+        position, normal = points
+        columns = []
+        for axis in axes:
+            ray, strength = towards_light(position, axis, self.lamp_distance)
+            columns.append(cosines(normal, ray) * strength)
+        return np.stack(columns, axis=1) if columns else np.zeros((len(position), 0), np.float32)
+
     def sharp_transfer_at(
         self, points: tuple[Floats, Floats], axes: Floats, sharpness: Floats, samples: int
     ) -> Floats:
@@ -86,7 +100,10 @@ class Scene:
 
         def traced(part: slice) -> Floats:
             points = position[part], normal[part]
-            columns = [lobe_transfer(self.tracer, *points, lobe, self.offset) for lobe in lobes]
+            columns = [
+                lobe_transfer(self.tracer, *points, lobe, self.offset, self.lamp_distance)
+                for lobe in lobes
+            ]
             return np.stack(columns, axis=1)
 
         if not lobes or not len(position):

@@ -80,7 +80,7 @@ class Sunlight:
         normal = surfels.normal[rows]
         sharpness = np.full(len(axes), EDGE_SHARPNESS, np.float32)
         wide = scene.sharp_transfer(axes, sharpness, rows).numpy()
-        cosine = normal @ axes.T
+        cosine = scene.facing((surfels.position[rows], normal), axes)
         share = wide / np.maximum(cosine, 1e-3)
         return cls(surfels.position[rows], normal, cosine, share)
 

@@ -290,9 +290,9 @@ def _solve_shadow_edges(state: TexelState) -> TexelState:
         return state
     arriving = (state.soft, state.narrow, state.sun)
     diffuse = (state.albedo, state.exitant)
-    albedo = solve_shadow_edges(
-        diffuse, arriving, state.light, state.texels, state.edge, state.known
-    )
+    points = (state.texels.position, state.texels.normal)
+    facing = np.clip(state.problem.scene.facing(points, state.light.axes), 0, None)
+    albedo = solve_shadow_edges(diffuse, arriving, facing, state.texels, state.edge, state.known)
     return replace(state, albedo=albedo)
 
 

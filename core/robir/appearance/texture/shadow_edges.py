@@ -60,7 +60,8 @@ def on_edges(
     strength = light.amplitudes.sharp.numpy().mean(1) / max(1e-6, sky)
     sharpness = np.full(len(light.axes), EDGE_SHARPNESS, np.float32)
     wide = sun_transfer(problem, light, texels, sharpness, 2 * _RAY_PAIRS)
-    facing = np.clip(texels.normal @ light.axes.T, 0, None)
+    points = (texels.position, texels.normal)
+    facing = np.clip(problem.scene.facing(points, light.axes), 0, None)
     share = wide / np.maximum(facing, 1e-3)
     partly = share < 1 - _LEAST_SHARE
     uncertain = (share > _LEAST_SHARE) & partly
@@ -76,7 +77,15 @@ def _contested(scene: Scene, light: Light, texels: Texels, mesh_error: float) ->
     for step in (0 * first, first, -first, second, -second):
         position = texels.position + mesh_error * step.numpy()
         columns = [
-            lobe_transfer(scene.tracer, position, texels.normal, axis[None], scene.offset) > 0
+            lobe_transfer(
+                scene.tracer,
+                position,
+                texels.normal,
+                axis[None],
+                scene.offset,
+                scene.lamp_distance,
+            )
+            > 0
             for axis in light.axes
         ]
         lit.append(np.stack(columns, axis=1))
@@ -116,7 +125,7 @@ class Reference:
 def solve_shadow_edges(
     diffuse: tuple[Floats, Floats],
     arriving: tuple[Floats, Floats, Floats],
-    light: Light,
+    facing: Floats,
     texels: Texels,
     edge: NDArray[np.bool_],
     reference: Reference,
@@ -125,10 +134,10 @@ def solve_shadow_edges(
 
     `diffuse` is albedo (N, 3) by the mesh's own shadows, and radiosity (N, 3); `arriving` is
     irradiance (N, 3) from all but the suns, visibility times cosine of these (N, J), and what they
-    send (J, 3); `reference` are certain texels.
+    send (J, 3); `facing` (N, J) is what would arrive of each, were nothing between, at least 0;
+    `reference` are certain texels.
     """
     (albedo, exitant), (soft, narrow, sun) = diffuse, arriving
-    facing = np.clip(texels.normal @ light.axes.T, 0, None)
     strongest = int(sun.mean(1).argmax())
     others = [index for index in range(len(sun)) if index != strongest]
     rest = soft[edge] + narrow[edge][:, others] @ sun[others]
