@@ -11,9 +11,8 @@ import torch
 from appearance import synthetic
 from transport.shapes import looking_at, mesh_of, patch, photograph
 
-from robir.appearance.light.lobes import Amplitudes, soft_transfer
+from robir.appearance.light.lobes import soft_transfer
 from robir.appearance.light.problem import make_problem, make_scene
-from robir.appearance.light.solver import Light
 from robir.appearance.material.specular import SpecularMaterial
 from robir.appearance.texture.albedo import _STEP, ALBEDO, TexelState, texel_albedo
 from robir.appearance.texture.residual_shading import smoothed_albedo, with_normals
@@ -39,13 +38,6 @@ def shadow():
     x, y = (grid.ravel() for grid in np.meshgrid(steps, steps))
     position = np.stack([x, y, 0 * x], axis=1).astype(np.float32)
     normal = np.tile(np.float32([0, 0, 1]), (len(position), 1))
-    light = Light(
-        axes=np.float32([[0.6, 0, 0.8]]),
-        sharpness=np.float32([2000]),
-        amplitudes=Amplitudes(soft=torch.zeros(1, 3), sharp=torch.full((1, 3), SUN)),
-        loss=0.0,
-        history=(),
-    )
     facing = 0.8
     true_share = np.clip(0.5 + x / 0.1, 0, 1)
     traced = np.clip(0.5 + (x - 0.03) / 0.1, 0, 1)
@@ -55,7 +47,7 @@ def shadow():
     parts = (
         np.full((len(x), 3), SOFT),
         (traced * facing)[:, None],
-        light.amplitudes.sharp.numpy(),
+        np.full((1, 3), SUN),
     )
     edge = np.abs(x) < 0.12
     texels = Texels(position=position, normal=normal)

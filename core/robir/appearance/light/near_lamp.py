@@ -51,7 +51,8 @@ def with_near_lamp(problem: Problem, light: Light, iterations: int) -> tuple[Pro
         around = ring(axis, reach, _TRIALS, 0.5 * turn).astype(np.float32)
         best = min((best, *(tried(one, distance) for one in around)), key=loss_of)
         axis = best[1].axes[0]
-        best = min((best, *(tried(axis, other) for other in _DISTANCES)), key=loss_of)
+        others = [tried(axis, other) for other in _DISTANCES if other != distance]
+        best = min((best, *others), key=loss_of)
     near, lamp = best
     if lamp.loss > (1 - _LEAST_GAIN) * afar.loss:
         return problem, light
