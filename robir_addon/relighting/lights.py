@@ -7,6 +7,7 @@ before is remembered in the scene, so that it can be given back. Each light to c
 picture of the object under it.
 """
 
+import math
 import os
 from collections.abc import Iterable
 from pathlib import Path
@@ -37,23 +38,35 @@ _BEFORE = "robir_world_before"
 _WHOLE = "robir_whole_light"
 _WITHOUT_SUN = "robir_light_without_sun"
 _TOWARDS = "robir_towards_light"
+# custom property of a lamp that stands near: its distance from the middle of the result
+_AWAY = "robir_distance_of_light"
 
 
 def add_lamps(lamps: list[dict[str, Any]], name: str, mark: str) -> list[bpy.types.Object]:
-    """Sun lamps of light.json, not linked; their strength is irradiance, whatever the angle."""
+    """Lamps of light.json, neither linked nor in their place.
+
+    A Sun lamp's strength is irradiance, whatever the angle. A lamp that stands near is a Point.
+    """
     made = []
     for lamp in lamps:
-        data = bpy.data.lights.new(f"{name} sun", "SUN")
-        strongest = max(lamp["irradiance"])
-        data.energy = strongest
+        strongest, away = max(lamp["irradiance"]), lamp.get("distance")
+        if away is None:
+            data = bpy.data.lights.new(f"{name} sun", "SUN")
+            data.energy, data.angle = strongest, lamp["angular_diameter"]
+        else:
+            data = bpy.data.lights.new(f"{name} lamp", "POINT")
+            # watts in all directions, of which a surface that faces it gets 1 / (4 pi d^2)
+            data.energy = strongest * 4.0 * math.pi * away**2
+            data.shadow_soft_size = away * math.tan(0.5 * lamp["angular_diameter"])
         data.color = [channel / max(strongest, 1e-12) for channel in lamp["irradiance"]]
-        data.angle = lamp["angular_diameter"]
         sun = bpy.data.objects.new(data.name, data)
         for block in (data, sun):
             block[MARK] = mark
         sun[_TOWARDS] = lamp["direction"]
         sun.rotation_mode = "QUATERNION"
         _aim(sun, 0.0)
+        if away is not None:
+            sun[_AWAY] = away
         made.append(sun)
     return made
 
@@ -239,10 +252,22 @@ def _show(scene: bpy.types.Scene, world: bpy.types.World, picture: bpy.types.Ima
         bpy.data.images.remove(replaced)
 
 
+def scale_lamp(lamp: bpy.types.Object, factor: float) -> None:
+    """Let a lamp that stands near light a thing so many times as large as it did before."""
+    if _AWAY in lamp:
+        lamp[_AWAY] *= factor
+        lamp.data.energy *= factor**2
+        lamp.data.shadow_soft_size *= factor
+
+
 def _aim(lamp: bpy.types.Object, rotation: float) -> None:
-    """A Sun lamp shines along its -z axis."""
+    """A lamp shines along its -z axis; one that stands near goes round the middle of the result."""
+    away, along = lamp.get(_AWAY, 0.0), Vector((0.0, 0.0, 1.0))
+    middle = lamp.location - away * (lamp.rotation_quaternion @ along)
     towards = Vector(lamp[_TOWARDS]).to_track_quat("Z", "Y")
     lamp.rotation_quaternion = Quaternion((0.0, 0.0, 1.0), rotation) @ towards
+    if away:
+        lamp.location = middle + away * (lamp.rotation_quaternion @ along)
 
 
 def _node(world: bpy.types.World, kind: str) -> bpy.types.Node:

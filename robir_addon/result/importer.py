@@ -47,7 +47,12 @@ _CAMERAS = {
     "bounds": {"centre": NUMBERS, "radius": float},
     "ground?": {"normal": NUMBERS, "offset": float},
 }
-_LAMP = {"irradiance": NUMBERS, "direction": NUMBERS, "angular_diameter": float}
+_LAMP = {
+    "irradiance": NUMBERS,
+    "direction": NUMBERS,
+    "angular_diameter": float,
+    "distance?": float,
+}
 _LIGHT = {"sun_lamps": [_LAMP]}
 _TONE_CURVE = {
     "family": str,
@@ -171,11 +176,11 @@ def _add_lamps(
     collection: bpy.types.Collection,
 ) -> list[bpy.types.Object]:
     lamps = add_lamps(suns, paths.root.name, mark_of(paths.root))
-    for lamp in lamps:  # a lamp shines from everywhere along its direction; this is for the eye
+    for lamp, sun in zip(lamps, suns, strict=True):
+        # a Sun shines from everywhere along its direction; its place is for the eye
+        away = sun.get("distance", 1.5 * bounds["radius"])
         towards = lamp.rotation_quaternion.to_matrix().col[2]
-        lamp.location = [
-            c + 1.5 * bounds["radius"] * t for c, t in zip(bounds["centre"], towards, strict=True)
-        ]
+        lamp.location = [c + away * t for c, t in zip(bounds["centre"], towards, strict=True)]
         collection.objects.link(lamp)
     return lamps
 

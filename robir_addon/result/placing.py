@@ -17,6 +17,7 @@ from mathutils import Matrix, Vector
 
 from ..blocks import MARK, numbers_of, with_mark
 from ..engine.errors import ResultError
+from ..relighting.lights import scale_lamp
 
 # custom property of the object: scale and shift (3) of its mesh against the capture's frame
 _FITTED = "robir_fitted"
@@ -196,6 +197,8 @@ def _move(others: Sequence[bpy.types.Object], factor: float, shift: Vector) -> N
     for other in others:
         if other.parent is None:  # what hangs on something else goes with that
             other.location = factor * other.location + shift
+            if other.type == "LIGHT":
+                scale_lamp(other, factor)
             if other.type == "CAMERA":
                 for name in ("display_size", "clip_start", "clip_end"):
                     setattr(other.data, name, factor * getattr(other.data, name))

@@ -39,7 +39,7 @@ def facing_irradiance(sharpness):
 
 @pytest.mark.parametrize("sharpness", [250.0, 400.0, 2000.0, 10000.0, 1e6])
 def test_a_lamp_has_the_irradiance_of_its_lobe(tmp_path, sharpness):
-    (lamp,) = sun_lamps(light_of(tmp_path, (sharpness, "sharp")))
+    (lamp,) = sun_lamps(light_of(tmp_path, (sharpness, "sharp")), 1.0)
     expected = facing_irradiance(sharpness)
     assert lamp["irradiance"] == pytest.approx([expected * a for a in AMPLITUDE], rel=1e-5)
     # the whole integral, 2 pi a / s (1 - exp(-2 s)), is the same to one part in the sharpness
@@ -52,7 +52,7 @@ def test_a_lamp_has_the_irradiance_of_its_lobe(tmp_path, sharpness):
 @pytest.mark.parametrize("tilt", [0.0, 0.5, 1.0])
 def test_a_lamp_lights_a_tilted_surface_as_its_lobe_does(tmp_path, sharpness, tilt):
     """An even disc of the lamp's size and irradiance, against the lobe, by quadrature."""
-    (lamp,) = sun_lamps(light_of(tmp_path, (sharpness, "sharp")))
+    (lamp,) = sun_lamps(light_of(tmp_path, (sharpness, "sharp")), 1.0)
     half = 0.5 * lamp["angular_diameter"]
     node, weight = np.polynomial.legendre.leggauss(64)
     cosine = math.cos(half) + 0.5 * (1 - math.cos(half)) * (node + 1)
@@ -81,7 +81,7 @@ def energy(file):
 
 def test_the_environment_without_suns_lacks_the_suns_alone(tmp_path):
     paths = sphere_run.make_run(tmp_path / "out")
-    export_light(paths)
+    export_light(paths, sphere_run.RADIUS)
     table = read_json(paths.light)
     whole, _ = energy(paths.environment)
     rest, image = energy(paths.environment_without_sun)
@@ -95,6 +95,17 @@ def test_the_environment_without_suns_lacks_the_suns_alone(tmp_path):
     source = paths.stage("appearance") / "light.json"
     bare = read_json(source)
     write_json(source, bare | {"lobes": bare["lobes"][:1]})
-    export_light(paths)
+    export_light(paths, sphere_run.RADIUS)
     assert read_json(paths.light)["sun_lamps"] == []
     assert not paths.environment_without_sun.exists()
+
+
+def test_a_lamp_that_stands_near_has_its_distance_in_the_unit_of_the_capture(tmp_path):
+    paths = sphere_run.make_run(tmp_path / "out")
+    source = paths.stage("appearance") / "light.json"
+    export_light(paths, sphere_run.RADIUS)
+    (sun,) = read_json(paths.light)["sun_lamps"]
+    write_json(source, read_json(source) | {"distance_radii": 6.0})
+    export_light(paths, sphere_run.RADIUS)
+    (lamp,) = read_json(paths.light)["sun_lamps"]
+    assert lamp == sun | {"distance": pytest.approx(6.0 * sphere_run.RADIUS)}

@@ -17,9 +17,9 @@ from robir.appearance.evidence import (
     level_estimates,
     sent_by_known_albedo,
 )
+from robir.appearance.light.distance import with_distance
 from robir.appearance.light.known_albedo import READ_ERROR
 from robir.appearance.light.lobes import NO_PRIOR, LightPrior
-from robir.appearance.light.near_lamp import with_near_lamp
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light, refit
 from robir.appearance.light.sun_search import polish
@@ -76,17 +76,17 @@ def _polish(state: Solution) -> Solution:
     return replace(state, light=polish(state.problem, state.light, state.config, state.seed))
 
 
-def _find_near_lamp(state: Solution) -> Solution:
-    problem, light = with_near_lamp(state.problem, state.light, state.config.iterations // 3)
+def _find_distance(state: Solution) -> Solution:
+    problem, light, afar = with_distance(state.problem, state.light, state.config, state.seed)
     if problem is state.problem:
         return state
     choice = Choice(
-        choice="distance of the lamp",
-        chosen=f"{problem.scene.lamp_distance:g} radii of the thing",
-        alternatives=("far, as a sun is",),
+        choice="distance of the light",
+        chosen=f"{problem.scene.light_distance:g} radii of the thing",
+        alternatives=("far, as a sky is",),
         held_out_error=light.loss,
-        why=f"from afar neighbours' albedo differs by {state.light.loss:.3f}; the environment that "
-        "is exported shines as the lamp does on the middle of the thing",
+        why=f"from afar neighbours' albedo differs by {afar:.3f}; the environment that is "
+        "exported is the one that the middle of the thing sees",
     )
     choices = (*state.choices, choice)
     return replace(state, problem=problem, matte=problem, light=light, choices=choices)
@@ -150,10 +150,10 @@ SOLUTION: tuple[Step[Solution], ...] = (
         run=_polish,
     ),
     Step(
-        name="near-lamp",
-        purpose="tells a lamp that stands near from a sun",
-        source="ours: inverse square law",
-        run=_find_near_lamp,
+        name="distance",
+        purpose="tells the light of a room, which is near, from that of a sky",
+        source="ours: light from a sphere, inverse square law",
+        run=_find_distance,
     ),
     Step(
         name="every-sample",

@@ -42,7 +42,7 @@ from robir.transport.baked import Transport
 from robir.transport.observe import MASK_INSIDE
 from robir.workers import meanwhile
 
-REVISION = 99
+REVISION = 100
 
 
 # all steps of the stage, in their order
@@ -88,7 +88,7 @@ def run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     _show(context.paths, capture)
     _write_textures(folder, inside, values, specular)
     _write_normals(folder, lit.mesh.normals)
-    _write_light(folder, light)
+    _write_light(folder, light, problem.scene.light_distance)
     _write_tone_curve(folder, tone)
     _write_check(folder, texture.checked)
     write_json(folder / "exposure.json", problem.gains.plain() | {"other_light": sorted(other)})
@@ -248,8 +248,8 @@ def _write_normals(folder: Path, normals: np.ndarray) -> None:
         np.savez_compressed(file, normals=normals)
 
 
-def _write_light(folder: Path, light: Light) -> None:
-    """Store the lobes."""
+def _write_light(folder: Path, light: Light, distance: float) -> None:
+    """Store the lobes, and how far away they are, if not infinitely: unit frame."""
     lobes = lobes_of(light.amplitudes, light.axes, light.sharpness)
     num_soft = len(lobes.axis) - len(light.axes)
     listed = [
@@ -261,10 +261,10 @@ def _write_light(folder: Path, light: Light) -> None:
         }
         for index in range(len(lobes.axis))
     ]
-    write_json(
-        folder / "light.json",
-        {"lobes": listed, "unit": "radiance such that the tone curve maps it to display"},
-    )
+    told = {"lobes": listed, "unit": "radiance such that the tone curve maps it to display"}
+    if np.isfinite(distance):
+        told["distance_radii"] = distance
+    write_json(folder / "light.json", told)
 
 
 def _write_check(folder: Path, checked: CheckResult | None) -> None:

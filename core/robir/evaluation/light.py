@@ -30,7 +30,8 @@ _MAX_NUMBERS = 400_000_000  # of an EXR over all channels; a sky of 8192 columns
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 _CHUNK_ROWS = 64
-_LIGHT = {"lobes": [{"axis": NUMBERS, "sharpness": float, "amplitude": NUMBERS, "kind": str}]}
+_LOBE = {"axis": NUMBERS, "sharpness": float, "amplitude": NUMBERS, "kind": str}
+_LIGHT = {"lobes": [_LOBE], "distance_radii?": float}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,6 +40,8 @@ class RecoveredLight:
 
     lobes: sg.SphericalGaussians  # world-space mixture; amplitude is radiance, linear Rec.709
     is_sharp: NDArray[np.bool_]  # (K,) bool, suns and lamps as opposed to sky
+    # radius of the sphere about the thing that they shine from, radii of its bounds
+    distance: float = math.inf
 
     def power(self) -> Array:
         """Luminance of each lobe integrated over the sphere, (K,)."""
@@ -76,7 +79,8 @@ class RecoveredLight:
 
 def load_light(path: Path) -> RecoveredLight:
     """Read a light.json, or a `StorageError`."""
-    table = stored_facts(path, _LIGHT)["lobes"]
+    facts = stored_facts(path, _LIGHT)
+    table = facts["lobes"]
     if any(len(lobe["axis"]) != 3 or len(lobe["amplitude"]) != 3 for lobe in table):
         fault = "an axis or amplitude has not three numbers"
         raise StorageError(f"{path} is damaged ({fault}); reconstruct with --resume")
@@ -91,6 +95,7 @@ def load_light(path: Path) -> RecoveredLight:
             amplitude=column("amplitude").reshape(-1, 3),
         ),
         is_sharp=np.array([lobe["kind"] == "sharp" for lobe in table], bool),
+        distance=facts.get("distance_radii", math.inf),
     )
 
 

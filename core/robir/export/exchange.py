@@ -113,11 +113,14 @@ ROWS = 512
 MAX_LAMP_DIAMETER = math.radians(15.0)
 
 
-def export_light(paths: JobPaths) -> RecoveredLight:
-    """Write environment.exr, 512 x 1024, light.json, and if there are suns one without them."""
+def export_light(paths: JobPaths, radius: float) -> RecoveredLight:
+    """Write environment.exr, 512 x 1024, light.json, and if there are suns one without them.
+
+    Of a thing whose bounds have this radius, capture's unit.
+    """
     table = paths.stage("appearance") / "light.json"
     light = load_light(table)
-    lamps = sun_lamps(light)
+    lamps = sun_lamps(light, radius)
     write_json(paths.light, {**read_json(table), "sun_lamps": lamps})
     write_exr(paths.environment, light.environment(ROWS))
     if lamps:
@@ -132,13 +135,15 @@ def export_light(paths: JobPaths) -> RecoveredLight:
     return light
 
 
-def sun_lamps(light: RecoveredLight) -> list[dict[str, Any]]:
-    """The sharp lobes that are narrow enough for a Sun lamp, in the order of the lobes.
+def sun_lamps(light: RecoveredLight, radius: float) -> list[dict[str, Any]]:
+    """The sharp lobes that are narrow enough for a lamp, in the order of the lobes.
 
     "lobe": index into the lobes; "direction": unit, world, towards the light; "irradiance": linear
     Rec.709, of a surface that faces the lamp, radiance times steradian (Blender's strength of a Sun
-    lamp, W/m2); "angular_diameter": of a disc with the lobe's mean cosine, radians.
+    lamp, W/m2); "angular_diameter": of a disc with the lobe's mean cosine, radians. Of a lamp that
+    stands near, all as the centre of the bounds sees it, which is "distance" away (capture's unit).
     """
+    place = {"distance": radius * light.distance} if math.isfinite(light.distance) else {}
     sharpness = light.lobes.sharpness.double()
     diameter = 4.0 * torch.asin(torch.sqrt(1.0 - sg.mean_cosine(sharpness)))
     irradiance = sg.integral(light.lobes) * sg.cosine_shares(
@@ -150,6 +155,7 @@ def sun_lamps(light: RecoveredLight) -> list[dict[str, Any]]:
             "direction": light.lobes.axis[index].tolist(),
             "irradiance": irradiance[index].tolist(),
             "angular_diameter": float(diameter[index]),
+            **place,
         }
         for index in np.flatnonzero(light.is_sharp).tolist()
         if diameter[index] <= MAX_LAMP_DIAMETER

@@ -57,7 +57,7 @@ def run(context: StageContext[ExportConfig]) -> dict[str, Any]:
     parts = tuple(parts_of(mesh, textures))
     write_glb(paths.asset, parts, asset_name(capture))
     report.progress(0.12, "writing light, tone curve and cameras")
-    light = export_light(paths)
+    light = export_light(paths, capture.bounds.radius)
     tone_curve = export_tone_curve(paths)
     export_cameras(paths, capture, mesh.vertices)
     own = {"cpu": time.process_time() - cpu, "wall": time.monotonic() - wall}

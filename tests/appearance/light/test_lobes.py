@@ -93,7 +93,7 @@ def test_the_sky_alone_is_pi_times_its_radiance_on_open_ground(stage):
     rows = np.flatnonzero(stage.surfels.position[:, 2] > 0.39)
     rows = rows[stage.surfels.normal[rows, 2] > 0.99]
     highest = rows[stage.surfels.position[rows, 2] > 0.59]
-    soft = soft_transfer(stage.visibility, stage.surfels.normal, highest, 400).sum(1)
+    soft = soft_transfer(stage.visibility, stage.surfels, 400)[highest].sum(1)
     # So many lobes make a flat sky: radiance is their number times their mean over the sphere.
     sharpness = 0.17 * 400
     radiance = 400 * (1 - np.exp(-2 * sharpness)) / (2 * sharpness)
@@ -241,6 +241,7 @@ def sun_problem_of(problem) -> SunProblem:
         pairs=neighbour_pairs(surfels, rows, (0.05, 0.12, 0.25), 2, rng),
         tracer=scene.tracer,
         offset=scene.offset,
+        distance=np.inf,
     )
 
 

@@ -11,12 +11,14 @@ from appearance import synthetic
 from robir.appearance.light.problem import make_problem
 from robir.appearance.material import highlights, metal
 from robir.appearance.material.metal import (
+    MetalParts,
     base_colour_posterior,
     metal_errors,
     metal_parts,
 )
 from robir.appearance.material.reflections import Reflections, view_rays
 from robir.appearance.material.specular import estimate_specular
+from robir.appearance.material.trial import MaterialTrial
 from robir.maths.tone import curve_from_name
 
 LEVELS = highlights.LEVELS[: metal._NUM_LEVELS]
@@ -147,3 +149,20 @@ def test_metal_takes_no_part_in_the_light_but_where_there_is_hardly_anything_els
     whole, light = gold
     specular, _ = estimate_specular(whole, light, 4, 0)
     assert len(specular.solved_by(whole.scene.rows, metal.SOLVED_WITHOUT)) == len(whole.scene.rows)
+
+
+def test_parts_are_metal_where_photographs_prove_it(halves, monkeypatch):
+    problem, light, is_gold = halves
+    rows = np.flatnonzero(problem.radiance.seen.numpy())
+    parts = MetalParts(
+        part=np.where(is_gold[rows], 0, 1),
+        base=np.stack([GOLD.base, PLASTIC.base]),
+        roughness=np.float32([GOLD.roughness, PLASTIC.roughness]),
+    )
+    trial = MaterialTrial.of(problem, light, rows)
+    dielectric = np.zeros((len(rows), len(highlights.LEVELS)), np.float32)
+    kept, choice = metal.tested_parts(parts, trial, dielectric)
+    assert (kept.part == np.where(is_gold[rows], 0, -1)).all()
+    assert choice.why.startswith("1 of 2 parts")
+    monkeypatch.setattr(metal, "_PROVEN", 1e3)
+    assert (metal.tested_parts(parts, trial, dielectric)[0].part == -1).all()

@@ -155,7 +155,7 @@ def lit_floor(dielectrics, is_second):
     directions = fibonacci_sphere(256).numpy().astype(np.float32)
     visibility = trace_visibility(mesh, tracer, surfels, directions, 0.003)
     light = synthetic.true_light(1.5, 0.2)
-    soft = soft_transfer(visibility, surfels.normal, np.arange(1), synthetic.NUM_SOFT)
+    soft = soft_transfer(visibility, surfels, synthetic.NUM_SOFT)[:1]
     facing = float(synthetic.SUN[2])
     irradiance = (soft @ light.amplitudes.soft + facing * light.amplitudes.sharp).numpy()
     curve = curve_from_name("agx")

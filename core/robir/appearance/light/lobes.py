@@ -25,7 +25,9 @@ from robir.maths.adam import Adam
 from robir.maths.daylight import PART, SUN, WHOLE
 from robir.maths.spherical_gaussian import SphericalGaussians, amplitude_from_irradiance
 from robir.maths.vectors import fibonacci_sphere
+from robir.transport.surfels import Surfels
 from robir.transport.visibility import Visibility
+from robir.workers import blocks, side_by_side
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -120,6 +122,8 @@ _SMOOTH = 0.01  # weight of neighbouring soft lobes being alike
 # as bright as it takes to shade what is painted.
 _SPREAD = 0.1
 _SHADOW = 0.25  # weight of equal albedo on both sides of a shadow
+_SAMPLES = 4096  # whose sky is added up at a time
+_NEAR_SAMPLES = 32  # the same of one near by: their rays stay in the processor's cache
 _RATE = 0.06  # learning rate of the first step; it falls to a tenth
 
 
@@ -179,23 +183,36 @@ def sky_radiance(directions: Tensor, amplitudes: Tensor) -> Tensor:
 
 
 def soft_transfer(
-    visibility: Visibility, normal: NDArray[np.float32], rows: NDArray[np.int64], count: int
+    visibility: Visibility, surfels: Surfels, count: int, distance: float = np.inf
 ) -> Tensor:
-    """Irradiance (U, count) at samples `rows` for unit amplitude of soft lobes.
+    """Irradiance (S, count) at all samples for unit amplitude of soft lobes.
 
-    Equation (1) of transport; `normal` (S, 3) is of all samples.
+    Equation (1) of transport. The lobes shine from a sphere of radius `distance` about the origin
+    of the frame: a direction meets it elsewhere from each point.
     """
     axes, sharpness = soft_lobes(count)
     directions = torch.from_numpy(visibility.directions)
-    values = torch.exp(sharpness * (directions @ axes.T - 1))
-    values = values * (4 * np.pi / len(directions))
-    parts = []
-    for start in range(0, len(rows), 4096):
-        chosen = rows[start : start + 4096]
-        bits = np.unpackbits(visibility.bits[chosen], axis=1, count=len(directions))
-        cosine = torch.from_numpy(normal[chosen]) @ directions.T
-        parts.append((torch.from_numpy(bits).float() * cosine.clamp(min=0)) @ values)
-    return torch.cat(parts)
+    share, along_axes = 4 * np.pi / len(directions), directions @ axes.T
+    afar = torch.exp(sharpness * (along_axes - 1))
+
+    def received(part: slice) -> Tensor:
+        bits = np.unpackbits(visibility.bits[part], axis=1, count=len(directions))
+        cosine = torch.from_numpy(surfels.normal[part]) @ directions.T
+        weight = share * torch.from_numpy(bits).float() * cosine.clamp(min=0)
+        if np.isinf(distance):
+            return weight @ afar
+        # a ray meets the sphere at p + r w, so that a lobe of axis a has there
+        # exp(s ((p + r w) . a / distance - 1))
+        position = torch.from_numpy(surfels.position[part])
+        along = position @ directions.T
+        beyond = distance**2 - (position**2).sum(1, keepdim=True)
+        reach = (along**2 + beyond).clamp(min=0).sqrt() - along
+        lobes = ((sharpness / distance) * reach[..., None] * along_axes).exp_()
+        offset = torch.exp(sharpness * (position @ axes.T / distance - 1))
+        return torch.bmm(weight[:, None], lobes)[:, 0] * offset
+
+    size = _SAMPLES if np.isinf(distance) else _NEAR_SAMPLES
+    return torch.cat(side_by_side(received, blocks(len(surfels), size)))
 
 
 def log_ratio(radiance: Tensor, irradiance: Tensor) -> Tensor:

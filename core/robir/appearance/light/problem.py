@@ -61,8 +61,14 @@ class Scene:
     exposures: ExposureModel | None = None
     known_albedo: KnownAlbedo | None = None  # a spot whose albedo the user knows, if any
     sun: Floats | None = None  # (3,) unit, towards the first sun, if the user knows it
-    # of the one sharp light from the origin, unit frame: a lamp that stands near, or infinite
-    lamp_distance: float = np.inf
+    # of all lights from the origin, unit frame: a room's walls and lamps are near, a sky is not
+    light_distance: float = np.inf
+
+    def lit_from(self, distance: float) -> Scene:
+        """The scene whose lights are so far from the origin of the frame."""
+        transport, count = self.transport, self.soft.shape[1]
+        soft = soft_transfer(transport.visibility, transport.surfels, count, distance)
+        return replace(self, soft=soft, light_distance=distance)
 
     def bounced(self, exitant: Tensor) -> Tensor:
         """Irradiance (S, 3) of all samples from what all of them radiate, (S, 3)."""
@@ -84,7 +90,7 @@ class Scene:
         position, normal = points
         columns = []
         for axis in axes:
-            ray, strength = towards_light(position, axis, self.lamp_distance)
+            ray, strength = towards_light(position, axis, self.light_distance)
             columns.append(cosines(normal, ray) * strength)
         return np.stack(columns, axis=1) if columns else np.zeros((len(position), 0), np.float32)
 
@@ -101,7 +107,7 @@ class Scene:
         def traced(part: slice) -> Floats:
             points = position[part], normal[part]
             columns = [
-                lobe_transfer(self.tracer, *points, lobe, self.offset, self.lamp_distance)
+                lobe_transfer(self.tracer, *points, lobe, self.offset, self.light_distance)
                 for lobe in lobes
             ]
             return np.stack(columns, axis=1)
@@ -124,8 +130,7 @@ def make_scene(
     """
     num_rows, num_soft = sizes
     surfels = transport.surfels
-    everything = np.arange(len(surfels))
-    soft = soft_transfer(transport.visibility, surfels.normal, everything, num_soft)
+    soft = soft_transfer(transport.visibility, surfels, num_soft)
     seen = np.flatnonzero((transport.observations.weight > 0).sum(1) >= 2)
     rows = np.sort(rng.choice(seen, min(num_rows, len(seen)), replace=False))
     pairs = neighbour_pairs(surfels, rows, PAIR_REACHES, _NUM_PARTNERS, rng)

@@ -22,7 +22,7 @@ from robir.appearance.light.problem import Problem
 from robir.appearance.photometry.statistics import Pairs, Radiance
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.maths.vectors import fibonacci_sphere, ring, tangents
-from robir.transport.visibility import lobe_directions, lobe_transfer
+from robir.transport.visibility import cosines, lobe_directions, lobe_transfer, towards_light
 from robir.workers import side_by_side
 
 Floats = NDArray[np.float32]
@@ -64,6 +64,7 @@ class SunProblem:
     pairs: Pairs  # over the U samples
     tracer: EmbreeTracer | None  # tracer of the mesh, or None where nothing blocks
     offset: float  # distance that rays start above the surface
+    distance: float  # of the suns from the frame's origin
 
     @classmethod
     def of(
@@ -80,6 +81,7 @@ class SunProblem:
             pairs=pairs,
             tracer=scene.tracer,
             offset=scene.offset,
+            distance=scene.light_distance,
         )
 
 
@@ -126,14 +128,13 @@ def candidate_loss(problem: SunProblem, transfer: Tensor) -> tuple[Tensor, Tenso
 def scan(problem: SunProblem, count: int, keep: int) -> list[SunCandidate]:
     """Lowest points of a scan of `count` directions, far enough apart to be other lights."""
     directions = fibonacci_sphere(count).numpy().astype(np.float32)
-    bits = _trace_directions(problem, directions)
-    cosine = np.clip(directions @ problem.normal.T, 0, None)
+    received = np.stack(side_by_side(lambda axis: _received(problem, axis), directions))
     # blurred, the true direction lies inside the basin of its neighbours
     spacing = np.sqrt(4 * np.pi / count)
     kernel = np.exp((directions @ directions.T - 1) / (_BLUR * spacing) ** 2)
     kernel[kernel < 0.02] = 0
     kernel /= kernel.sum(1, keepdims=True)
-    transfer = csr_matrix(kernel) @ (bits * cosine)
+    transfer = csr_matrix(kernel) @ received
     lit = (transfer > _LIT).mean(1)
     least_lit = _LEAST_LIT * float(lit.max())
     indices = np.flatnonzero(lit > least_lit)
@@ -172,17 +173,18 @@ def scan(problem: SunProblem, count: int, keep: int) -> list[SunCandidate]:
     return chosen
 
 
-def _trace_directions(problem: SunProblem, directions: Floats) -> Floats:
-    """Visibility (D, U) as 0 or 1 for every direction."""
-    bits = np.zeros((len(directions), len(problem.position)), np.float32)
-    origin = problem.position + problem.offset * problem.normal
-    for index, direction in enumerate(directions):
-        facing = np.flatnonzero(problem.normal @ direction > 0)
-        if problem.tracer is not None and len(facing):
-            rays = np.broadcast_to(direction, (len(facing), 3))
-            facing = facing[~problem.tracer.is_blocked(origin[facing], rays)]
-        bits[index, facing] = 1
-    return bits
+def _received(problem: SunProblem, axis: Floats) -> Floats:
+    """Visibility times cosine (U,) of one direction, with its strength where it stands near."""
+    ray, strength = towards_light(problem.position, axis, problem.distance)
+    cosine = cosines(problem.normal, ray)
+    facing = np.flatnonzero(cosine > 0)
+    if problem.tracer is not None and len(facing):
+        rays = np.broadcast_to(ray, problem.position.shape)[facing]
+        origin = problem.position[facing] + problem.offset * problem.normal[facing]
+        facing = facing[~problem.tracer.is_blocked(origin, rays)]
+    received = np.zeros(len(problem.position), np.float32)
+    received[facing] = (cosine * strength)[facing]
+    return received
 
 
 def refine(problem: SunProblem, start: SunCandidate, reach: float) -> SunCandidate:
@@ -219,7 +221,7 @@ def _scored(problem: SunProblem, axes: list[Floats], sharpness: float) -> list[S
 
     def traced(axis: Floats) -> Floats:
         points, lobe = (problem.position, problem.normal), lobe_directions(axis, sharpness, 4)
-        return lobe_transfer(problem.tracer, *points, lobe, problem.offset)
+        return lobe_transfer(problem.tracer, *points, lobe, problem.offset, problem.distance)
 
     transfer = np.stack(side_by_side(traced, axes))
     losses, without = candidate_loss(problem, torch.from_numpy(transfer))

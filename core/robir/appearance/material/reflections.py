@@ -24,6 +24,7 @@ from robir.maths import microfacet
 from robir.maths.vectors import normalise, orthonormal_frame
 from robir.transport.observe import Observations
 from robir.transport.surfels import Surfels
+from robir.transport.visibility import towards_light
 from robir.workers import blocks, side_by_side
 
 Floats = NDArray[np.float32]
@@ -204,6 +205,8 @@ class Reflections:
         self._seen = seen
         self._normal = normal
         self._light = light
+        self._light_distance = scene.light_distance
+        self._position = scene.transport.surfels.position[rows]
         self._sun = scene.sharp_transfer(light.axes, light.sharpness, rows)
 
     @property
@@ -241,10 +244,16 @@ class Reflections:
         sample = torch.from_numpy(rays.sample)
         near = torch.zeros(len(sample), dtype=torch.bool)
         for index in range(len(self._light.axes)):
-            half = normalise(torch.from_numpy(self._light.axes[index]) + rays.view_dir)
+            half = normalise(self._towards_sun(sample, index) + rays.view_dir)
             facing = (self._normal[sample] * half).sum(1) > _HIGHLIGHT_COSINE
             near |= facing & (self._sun[sample, index] > _LEAST_SUN)
         return near.nonzero()[:, 0]
+
+    def _towards_sun(self, sample: Tensor, index: int) -> Tensor:
+        """Unit directions (M, 3) of a sharp light from samples (M,)."""
+        axis = self._light.axes[index]
+        ray, _ = towards_light(self._position, axis, self._light_distance)
+        return torch.from_numpy(np.broadcast_to(ray, self._position.shape).copy())[sample]
 
     def tilted(self, rays: ViewRays, tilt: tuple[float, float]) -> ViewRays:
         """The same rays mirrored by normals that are tilted along two tangents."""
@@ -270,7 +279,7 @@ class Reflections:
             # sharpness s widens alpha^2 by 1 / (2 s).
             blurred = (roughness**4 + 0.5 / float(sharpness)) ** 0.25
             wide = torch.full_like(rays.cosine, max(blurred, _SHARPEST_HIGHLIGHT))
-            axis = torch.from_numpy(self._light.axes[index]).expand_as(normal)
+            axis = self._towards_sun(sample, index)
             arriving = self._sun[sample, index][:, None] * self._light.amplitudes.sharp[index]
             lobe = microfacet.specular_brdf(
                 axis, rays.view_dir, normal, wide, torch.tensor([F0, 1.0])

@@ -83,7 +83,7 @@ def _contested(scene: Scene, light: Light, texels: Texels, mesh_error: float) ->
                 texels.normal,
                 axis[None],
                 scene.offset,
-                scene.lamp_distance,
+                scene.light_distance,
             )
             > 0
             for axis in light.axes

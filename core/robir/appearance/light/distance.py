@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How far away the light is: a sky infinitely, the windows, lamps and walls of a room not.
+
+Light that comes from a sphere about the thing shines on each point from elsewhere, and that of a
+lamp falls off across the thing. Taken for one from afar it would leave the near side of one paint
+brighter than the far side.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from robir.appearance.config import AppearanceConfig
+from robir.appearance.light.lobes import NO_PRIOR
+from robir.appearance.light.problem import Problem
+from robir.appearance.light.solver import Light, refit
+from robir.appearance.light.sun_search import find_suns, polish
+
+_ROOM = 6.0  # radius that is tried first, radii of the thing
+_OTHERS = (12.0, 4.0)  # that are tried once this one explains more than light from afar
+_LEAST_GAIN = 0.01  # share by which it must lower the neighbour loss; a sky is taken for no room
+
+
+def with_distance(
+    problem: Problem, light: Light, config: AppearanceConfig, seed: int
+) -> tuple[Problem, Light, float]:
+    """The problem and its light from where it explains most; with the neighbour loss from afar.
+
+    Once it is near, suns are searched anew: what a lamp shades from near by points elsewhere for a
+    sun. One that the user knows is taken for a sun.
+    """
+    if problem.scene.sun is not None:
+        return problem, light, light.loss
+
+    def lit_from(distance: float) -> Problem:
+        return replace(problem, scene=problem.scene.lit_from(distance))
+
+    def solved(scene: Problem, start: Light) -> tuple[Problem, Light]:
+        return scene, refit(scene, start, NO_PRIOR, config)
+
+    # by the same suns: a loss without any compares other pairs
+    (_, afar), best = solved(problem, light), solved(room := lit_from(_ROOM), light)
+    if best[1].loss > (1 - _LEAST_GAIN) * afar.loss:
+        return problem, light, afar.loss
+    start = light
+    if len(light.axes):
+        found = find_suns(room, config, seed)
+        start = polish(room, found if len(found.axes) else light, config, seed)
+        again = solved(room, start)
+        best, start = min((best, light), (again, start), key=lambda one: one[0][1].loss)
+    trials = (solved(lit_from(distance), start) for distance in _OTHERS)
+    near, found = min((best, *trials), key=lambda trial: trial[1].loss)
+    return near, replace(found, history=light.history), afar.loss
