@@ -50,7 +50,7 @@ $(STAMP): pyproject.toml constraints.txt
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV) || { \
 	  rm -rf $(VENV); echo "On Debian or Ubuntu:  sudo apt-get install python3-venv"; exit 1; }
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile \
-	  -c constraints.txt -e '.[blender,dev,photos]'
+	  -c constraints.txt -e '.[blender,dev,photos,quads]'
 	@touch $@
 
 define CHECK_LIBRARIES

@@ -22,6 +22,8 @@ class GeometryConfig:
             grows with its third power. 0 leaves depth maps out.
         refine_sides: Longer side of the photographs at each level of the refinement, pixels.
         face_budget: Most triangles of the final mesh.
+        quads: Whether faces are quads of about one size instead of triangles that follow the shape.
+            Each is two triangles, which Blender joins (Tris to Quads); needs pyinstantmeshes.
         unwrap_seconds: Longest processor time an unwrapping attempt may take, seconds.
         fit_mesh: Whether a mesh that the user hands in is turned, scaled and shifted to where the
             photographs show it.
@@ -36,6 +38,7 @@ class GeometryConfig:
     stereo_side: int = 200
     refine_sides: tuple[int, ...] = (400, 800)
     face_budget: int = 8000
+    quads: bool = False
     unwrap_seconds: float = 40.0
     fit_mesh: bool = False
     without: tuple[str, ...] = ()

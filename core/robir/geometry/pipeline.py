@@ -19,6 +19,7 @@ from robir.geometry.fit.mirror_pits import Mirroring
 from robir.geometry.ground.backdrop import Backdrop, find_ground
 from robir.geometry.hull import object_hull
 from robir.geometry.lattice import Sampled, resample
+from robir.geometry.mesh.quads import quadrangulated
 from robir.geometry.mesh.simplify import decimate, with_creases
 from robir.geometry.mesh.triangles import Mesh
 from robir.geometry.mesh.unwrap import unwrap
@@ -301,6 +302,14 @@ def _make_flat(state: PostProcessing) -> PostProcessing:
 
 
 def _decimate(state: PostProcessing) -> PostProcessing:
+    if state.config.quads:
+        made = quadrangulated(state.mesh, state.dense.faces)
+        if made is not None:
+            return replace(state, mesh=made)
+        state.warn(
+            "The surface is made of triangles: with quads of this size a part of it would be lost. "
+            "Allow more faces (geometry.face_budget), or thicken thin parts in Blender."
+        )
     tolerance = 0.0 if state.judge is None else _UNSEEN * state.judge.pixel
     return replace(state, mesh=decimate(state.mesh, state.dense.faces, tolerance))
 

@@ -20,6 +20,7 @@ from robir.geometry.fit.preview import Present, Preview, save_field_views, save_
 from robir.geometry.given.surface import hand_in
 from robir.geometry.ground.plane import SupportPlane
 from robir.geometry.lattice import Sampled
+from robir.geometry.mesh.quads import refuse_without_library
 from robir.geometry.mesh.triangles import LIGHT, Mesh
 from robir.geometry.pipeline import (
     BRIGHTNESS,
@@ -46,6 +47,8 @@ STEPS: tuple[Step[Any], ...] = (*BRIGHTNESS, *GROUND, *LEVEL, *POST_PROCESSING)
 def run(context: StageContext[GeometryConfig]) -> dict[str, float | str]:
     """Reconstruct the surface of the stored capture; metrics for the stage's manifest."""
     check_left_out(STEPS, context.config.without, "geometry.without")
+    if context.config.quads:
+        refuse_without_library()
     stored = load_capture(context.paths.stage("capture"))
     context.paths.growing.unlink(missing_ok=True)  # of another run, perhaps of another capture
     if context.mesh is not None:

@@ -13,7 +13,7 @@ from robir.geometry.mesh.isosurface import compacted
 from robir.geometry.mesh.tracer import EmbreeTracer
 from robir.geometry.mesh.triangles import Mesh, face_geometry
 
-_CREASE = 40.0  # faces that meet at a sharper angle do not share a normal (degrees)
+CREASE = 40.0  # faces that meet at a sharper angle do not share a normal (degrees)
 _SHARE_LEFT = 0.5  # share of the faces that one pass of decimation leaves
 # how steeply the library raises its threshold; low keeps edges, and stalls far from the aim
 _AGGRESSION = 3.0
@@ -59,11 +59,16 @@ def _collapsed(mesh: Mesh, least: int) -> Mesh:
 
 def _strays(dense: Mesh, mesh: Mesh) -> float:
     """Distance along normals that all but few vertices of a dense mesh lie off another."""
+    return float(np.quantile(distances_off(dense, mesh), _MOST_OFF))
+
+
+def distances_off(dense: Mesh, mesh: Mesh) -> NDArray[np.floating]:
+    """Distance along normals of each vertex of a dense mesh from another; infinite without it."""
     tracer = EmbreeTracer(mesh.vertices, mesh.faces)
     apart = [
         tracer.first_hits(dense.vertices, sign * dense.normals).distance for sign in (1.0, -1.0)
     ]
-    return float(np.quantile(np.minimum(*apart), _MOST_OFF))
+    return np.minimum(*apart)
 
 
 def thinned(mesh: Mesh, face_budget: int) -> Mesh:
@@ -88,7 +93,7 @@ def with_creases(mesh: Mesh) -> Mesh:
     faces = mesh.faces
     normals, areas = face_geometry(mesh.vertices, faces)
     one, two, shared = _edge_neighbours(faces)
-    smooth = (normals[one] * normals[two]).sum(axis=1) > np.cos(np.radians(_CREASE))
+    smooth = (normals[one] * normals[two]).sum(axis=1) > np.cos(np.radians(CREASE))
     one, two, shared = one[smooth], two[smooth], shared[smooth]
     # corner c of face f is node 3 f + c of a graph; corners at one vertex are joined over edges
     links_one, links_two = [], []
