@@ -229,7 +229,7 @@ class ROBIR_PG_settings(bpy.types.PropertyGroup):
     )
     use_sun_lamp: BoolProperty(
         name="Sun as a lamp",
-        description="Give a recovered sun as a Sun lamp, so that its shadows stay crisp",
+        description="Give a recovered sun or lamp as one of Blender's, so that shadows stay crisp",
         default=True,
         update=lambda settings, _context: use_lamps(settings.id_data, settings.use_sun_lamp),
     )

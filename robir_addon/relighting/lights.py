@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The light of a result: its World, its Sun lamps, other environments, and how they are turned.
+"""The light of a result: its World, its lamps, other environments, and how they are turned.
 
-A recovered sun is shown in one of two ways: as a Sun lamp beside an environment without it, or as
-part of the whole environment. Any other environment hides the lamps. The World that a scene had
+A recovered sun is shown in one of two ways: as a lamp beside an environment without it, or as part
+of the whole environment. A lamp that stands near is a Point lamp in its place. Any other environment hides the lamps. The World that a scene had
 before is remembered in the scene, so that it can be given back. Each light to choose from has a
 picture of the object under it.
 """
@@ -45,7 +45,7 @@ _AWAY = "robir_distance_of_light"
 def add_lamps(lamps: list[dict[str, Any]], name: str, mark: str) -> list[bpy.types.Object]:
     """Lamps of light.json, neither linked nor in their place.
 
-    A Sun lamp's strength is irradiance, whatever the angle. A lamp that stands near is a Point.
+    A Sun lamp's strength is irradiance, whatever the angle; a Point lamp's is watts.
     """
     made = []
     for lamp in lamps:
@@ -134,7 +134,7 @@ def world_of(mark: str) -> bpy.types.World | None:
 
 
 def lamps_of(mark: str) -> list[bpy.types.Object]:
-    """The Sun lamps of an imported result."""
+    """The lamps of an imported result."""
     return [o for o in with_mark(bpy.data.objects, mark) if _TOWARDS in o]
 
 

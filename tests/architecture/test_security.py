@@ -19,6 +19,7 @@ STARTS_PROGRAMS = {
     "core/robir_bench/runs.py",
     "core/robir/batch/farm.py",
     "core/robir/export/blender.py",
+    "core/robir/geometry/mesh/quads.py",
     "core/robir/geometry/mesh/unwrap.py",
     "core/robir/jobs/client.py",
     "robir_addon/capture/foreign_mesh.py",
