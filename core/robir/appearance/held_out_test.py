@@ -2,7 +2,7 @@
 """The held-out test by which anything enters the model beside diffuse material in plain light.
 
 Views, or each view's part in its own prediction, are held out. A candidate enters if it predicts
-them better than the plainer model by more than one standard error. Errors are squared differences
+them better than the plainer model by as many standard errors as its step asks for. Errors are squared differences
 of display codes, compared in pairs and averaged over views or whatever errs together.
 """
 
@@ -82,22 +82,20 @@ class HeldOutTest:
 
     @property
     def is_passed(self) -> bool:
-        """Whether the candidate enters the model."""
-        return self.gain > self.error
+        """Whether the candidate leads by more than one standard error."""
+        return self.leads_by(1.0)
 
-    @property
-    def is_not_worse(self) -> bool:
-        """Whether the contrary is not proven."""
-        return self.gain > -self.error
+    def leads_by(self, least: float) -> bool:
+        """Whether the candidate leads by more than so many standard errors, 0 or not."""
+        return self.gain > least * self.error
 
-    @property
-    def words(self) -> str:
-        """For the report."""
+    def words(self, least: float) -> str:
+        """For the report, where more than so many standard errors are asked for."""
         times = self.gain / self.error if np.isfinite(self.error) and self.error > 0 else 0.0
         return (
             f"photographs that had no part in the fit are predicted with an error of "
             f"{self.rich:.2f} codes instead of {self.plain:.2f}, {times:+.1f} standard errors; "
-            "more than one is asked for"
+            f"more than {least:g} are asked for"
         )
 
     @classmethod

@@ -69,6 +69,31 @@ def test_the_sky_is_the_mean_about_the_mirror_direction(problem, light, roughnes
         np.testing.assert_allclose(reflected[ray], expected, rtol=2e-4)
 
 
+@pytest.mark.parametrize("distance", [2.5, np.inf])
+def test_a_lamp_shines_on_each_point_from_where_it_stands(problem, light, distance):
+    near = replace(problem, scene=replace(problem.scene, light_distance=distance))
+    transport, roughness = problem.scene.transport, 0.3
+    surfels, directions = transport.surfels, transport.visibility.directions
+    rows = np.arange(3, len(surfels), 40)
+    rays = view_rays(surfels, transport.observations, rows, directions)
+    found = Reflections(near, light, rows).from_suns(rays, roughness)
+    arriving = near.scene.sharp_transfer(light.axes, light.sharpness, rows)[rays.sample, 0]
+    position = torch.from_numpy(surfels.position[rows[rays.sample]]).double()
+    axis = torch.from_numpy(light.axes[0]).double()
+    aside = (axis if np.isinf(distance) else distance * axis - position).expand_as(position)
+    wide = (roughness**4 + 0.5 / float(light.sharpness[0])) ** 0.25
+    lobe = microfacet.specular_brdf(
+        aside / aside.norm(dim=1, keepdim=True),
+        rays.view_dir.double(),
+        torch.from_numpy(surfels.normal[rows[rays.sample]]).double(),
+        torch.full((len(position),), wide, dtype=torch.float64),
+        torch.tensor([0.04, 1.0], dtype=torch.float64),
+    )
+    expected = lobe[:, :, None] * (arriving[:, None] * light.amplitudes.sharp[0])[:, None]
+    assert float(expected.max()) > 0.1
+    torch.testing.assert_close(found.double(), expected, rtol=2e-3, atol=1e-5)
+
+
 def test_a_polished_floor_mirrors_the_one_box_that_is_bright(problem, light):
     transport = problem.scene.transport
     position, directions = transport.surfels.position, transport.visibility.directions

@@ -12,6 +12,8 @@ from robir.geometry.mesh.isosurface import plain_mesh
 from robir.geometry.mesh.quads import quadrangulated, refuse_without_library
 from robir.geometry.mesh.simplify import decimate
 
+pytest.importorskip("pyinstantmeshes")
+
 RADIUS = 0.8
 
 

@@ -349,10 +349,10 @@ def tested_parts(
         single.append(trial.compare(own, plain[own], metal[own]))
     every = trial.rays_of(parts.part >= 0)
     whole = trial.compare(every, plain[every], metal[every])
-    passed = np.array([one.gain > _PROVEN * one.error for one in single], bool)
+    passed = np.array([one.leads_by(_PROVEN) for one in single], bool)
     why = f"{passed.sum()} of {len(passed)} parts that may be metal are proven"
     if len(passed):
-        why += f"; of all together {whole.words}"
+        why += f"; of all together {whole.words(_PROVEN)}"
     kept_parts = parts.of(passed)
     choice = Choice(
         choice="metal",

@@ -30,6 +30,8 @@ WITH_SPECULAR, WITHOUT_SPECULAR = "as of any paint: F0 = 0.04", "none"
 # deviation of the roughness over the surface below which there is one: nobody sees it, and chance
 # alone lets patches predict a little better
 _NO_DIFFERENCE = 0.04
+# standard errors by which a specular layer, or roughness by patch, may lag before it is disproven
+_NOT_WORSE = -1.0
 _STRIDE = 3  # every so manieth sample of paint is tried
 
 
@@ -64,11 +66,11 @@ def choose_roughness(
     plain = trial.dielectric_errors(kept, None)
     single, several = (trial.dielectric_errors(kept, level) for level in levels)
     many = trial.compare(kept, single, several)
-    specular = trial.compare(kept, plain, several if many.is_not_worse else single)
+    specular = trial.compare(kept, plain, several if many.leads_by(_NOT_WORSE) else single)
     of_dielectric = each[patches.number[dielectric]]
     is_alike = not len(of_dielectric) or float(of_dielectric.std()) < _NO_DIFFERENCE
-    is_dull = not specular.is_not_worse
-    is_one = is_dull or is_alike or not many.is_not_worse
+    is_dull = not specular.leads_by(_NOT_WORSE)
+    is_one = is_dull or is_alike or not many.leads_by(_NOT_WORSE)
     roughness = np.full(len(each), MATTE if is_dull else _stepped(one, STEP)) if is_one else each
     choices = (
         Choice(
@@ -76,7 +78,7 @@ def choose_roughness(
             chosen=WITHOUT_SPECULAR if is_dull else WITH_SPECULAR,
             alternatives=(WITH_SPECULAR if is_dull else WITHOUT_SPECULAR,),
             held_out_error=specular.plain if is_dull else specular.rich,
-            why=f"with a specular layer {specular.words}",
+            why=f"with a specular layer {specular.words(_NOT_WORSE)}",
         ),
         Choice(
             choice="roughness",
@@ -84,7 +86,7 @@ def choose_roughness(
             alternatives=(EACH if is_one else ONE,),
             held_out_error=many.plain if is_one else many.rich,
             cost_seconds=time.process_time() - started,
-            why=f"with one per patch {many.words}",
+            why=f"with one per patch {many.words(_NOT_WORSE)}",
         ),
     )
     return RoughnessChoice(has_highlights=not is_dull, roughness=roughness, choices=choices)
