@@ -2,9 +2,9 @@
 """The light of a result: its World, its lamps, other environments, and how they are turned.
 
 A recovered sun is shown in one of two ways: as a lamp beside an environment without it, or as part
-of the whole environment. A lamp that stands near is a Point lamp in its place. Any other environment hides the lamps. The World that a scene had
-before is remembered in the scene, so that it can be given back. Each light to choose from has a
-picture of the object under it.
+of the whole environment. A lamp that stands near is a Point lamp in its place. Any other
+environment hides the lamps. The World that a scene had before is remembered in the scene, so that
+it can be given back. Each light to choose from has a picture of the object under it.
 """
 
 import math

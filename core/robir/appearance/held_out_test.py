@@ -2,8 +2,9 @@
 """The held-out test by which anything enters the model beside diffuse material in plain light.
 
 Views, or each view's part in its own prediction, are held out. A candidate enters if it predicts
-them better than the plainer model by as many standard errors as its step asks for. Errors are squared differences
-of display codes, compared in pairs and averaged over views or whatever errs together.
+them better than the plainer model by as many standard errors as its step asks for. Errors are
+squared differences of display codes, compared in pairs and averaged over views or whatever errs
+together.
 """
 
 from __future__ import annotations
