@@ -12,7 +12,7 @@ from appearance import synthetic
 from robir.appearance.config import AppearanceConfig
 from robir.appearance.light.lobes import soft_lobes
 from robir.appearance.light.problem import make_problem
-from robir.appearance.material.roughness import EACH, MATTE, ONE, WITH_SPECULAR, WITHOUT_SPECULAR
+from robir.appearance.material.roughness import EACH, ONE, USUAL, WITH_SPECULAR, WITHOUT_SPECULAR
 from robir.appearance.material.specular import specular_towards
 from robir.appearance.solution import solve
 from robir.appearance.tone.choose import choose_tone_curve
@@ -105,7 +105,7 @@ def test_a_matte_object_has_no_highlights():
     assert not specular.metallic.any()
     assert not specular.floor.any()
     np.testing.assert_array_equal(specular.kept, 1)
-    np.testing.assert_array_equal(specular.roughness[seen], MATTE)
+    np.testing.assert_array_equal(specular.roughness[seen], USUAL)
     problem = make_problem(scene, curve_from_name("filmic"))
     few = np.flatnonzero(seen)[:5]
     towards = scene.transport.surfels.normal[few]

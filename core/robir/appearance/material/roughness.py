@@ -22,7 +22,10 @@ from robir.jobs.context import Choice
 Floats = NDArray[np.float32]
 Reals = NDArray[np.floating[Any]]
 
-MATTE = 1.0  # roughness stated for paint without highlights; it has no bearing on how it looks
+MATTE = 1.0  # roughness of paint that reflects, but as dully as it can
+# roughness stated for paint without a specular layer: what such paint usually has. It has no
+# bearing on how it looks.
+USUAL = 0.7
 
 ONE, EACH = "one for the whole object", "one per patch of like paint"
 WITH_SPECULAR, WITHOUT_SPECULAR = "as of any paint: F0 = 0.04", "none"
@@ -71,7 +74,7 @@ def choose_roughness(
     is_alike = not len(of_dielectric) or float(of_dielectric.std()) < _NO_DIFFERENCE
     is_dull = not specular.leads_by(_NOT_WORSE)
     is_one = is_dull or is_alike or not many.leads_by(_NOT_WORSE)
-    roughness = np.full(len(each), MATTE if is_dull else _stepped(one, STEP)) if is_one else each
+    roughness = np.full(len(each), USUAL if is_dull else _stepped(one, STEP)) if is_one else each
     choices = (
         Choice(
             choice="specular",
