@@ -96,6 +96,10 @@ END = """
   the scene as GLB, USD and textures, and marks the object as an asset. **Library** runs many
   captures: [batch.md](batch.md).
 
+- **Quads** are made on request: `pip install 'robir[quads]'`, then `--set geometry.quads=true`.
+  Faces have one size and follow the bends. The asset holds each as two triangles. In Edit Mode
+  *Face > Tris to Quads* joins them, and the texture stays.
+
 ## Search, scripts and installation
 
 F3 finds every command. Scripts can call them too, and a command returns when it is done:
