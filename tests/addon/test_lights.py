@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """A Sun lamp beside the environment without its sun must light as the whole environment does."""
 
+import inspect
+
 import numpy as np
 import OpenEXR
 import pytest
 from addon.blenders import MODULE, run
+from addon.white import white
 from evaluation import sphere_run
 
 pytestmark = [pytest.mark.blender, pytest.mark.slow]
@@ -16,18 +19,7 @@ from pathlib import Path
 MODULE = {MODULE!r}
 
 
-def white():
-    material = bpy.data.materials.new("white")
-    if bpy.app.version < (5, 0, 0):
-        material.use_nodes = True
-    nodes = material.node_tree.nodes
-    nodes.clear()
-    shader = nodes.new("ShaderNodeBsdfDiffuse")
-    shader.inputs["Color"].default_value = (1, 1, 1, 1)
-    output = nodes.new("ShaderNodeOutputMaterial")
-    material.node_tree.links.new(shader.outputs[0], output.inputs["Surface"])
-    return material
-
+{inspect.getsource(white)}
 
 def main(archive, result, out):
     bpy.ops.extensions.package_install_files(

@@ -7,6 +7,7 @@ import shutil
 import numpy as np
 import OpenEXR
 import pytest
+from addon.white import white
 from evaluation import sphere_run
 
 from robir.jobs.paths import JobPaths, read_json, write_json
@@ -43,16 +44,7 @@ def white_plane():
     import bpy
 
     bpy.ops.mesh.primitive_plane_add(size=WIDTH, location=CENTRE)
-    material = bpy.data.materials.new("white")
-    if bpy.app.version < (5, 0, 0):
-        material.use_nodes = True
-    nodes = material.node_tree.nodes
-    nodes.clear()
-    shader = nodes.new("ShaderNodeBsdfDiffuse")
-    shader.inputs["Color"].default_value = (1, 1, 1, 1)
-    output = nodes.new("ShaderNodeOutputMaterial")
-    material.node_tree.links.new(shader.outputs[0], output.inputs["Surface"])
-    bpy.context.object.data.materials.append(material)
+    bpy.context.object.data.materials.append(white())
 
 
 def seen_from_above(file):

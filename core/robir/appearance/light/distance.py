@@ -45,9 +45,10 @@ def with_distance(
     start = light
     if len(light.axes):
         found = find_suns(room, config, seed)
-        start = polish(room, found if len(found.axes) else light, config, seed)
-        again = solved(room, start)
-        best, start = min((best, light), (again, start), key=lambda one: one[0][1].loss)
+        moved = polish(room, found if len(found.axes) else light, config, seed)
+        again = solved(room, moved)
+        if again[1].loss < best[1].loss:
+            best, start = again, moved
     trials = (solved(lit_from(distance), start) for distance in _OTHERS)
     near, found = min((best, *trials), key=lambda trial: trial[1].loss)
     return near, replace(found, history=light.history), afar.loss

@@ -8,15 +8,12 @@ triangles: each quad is two of them, which Blender joins again (Tris to Quads).
 from __future__ import annotations
 
 import importlib.util
-import subprocess
-import sys
-import tempfile
-from pathlib import Path
 
 import numpy as np
 import trimesh
 
 from robir.errors import ConfigError
+from robir.geometry.mesh.child import arrays_from_child
 from robir.geometry.mesh.isosurface import compacted
 from robir.geometry.mesh.simplify import CREASE, distances_off
 from robir.geometry.mesh.triangles import Mesh, face_geometry
@@ -31,7 +28,6 @@ _PATIENCE = 600.0  # seconds of the clock
 # result hangs on chance; Windows and macOS cannot be told to use one.
 _CHILD = """
 import os
-import sys
 import numpy as np
 if hasattr(os, "sched_setaffinity"):
     os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
@@ -68,21 +64,11 @@ def quadrangulated(mesh: Mesh, face_budget: int) -> Mesh | None:
 
 def _remeshed(mesh: Mesh, count: int) -> Mesh | None:
     """About so many triangles in quads, or None if the library fails."""
-    with tempfile.TemporaryDirectory(prefix="robir-quads-") as folder:
-        source, target = Path(folder, "mesh.npz"), Path(folder, "quads.npz")
-        np.savez(source, vertices=mesh.vertices, faces=mesh.faces)
-        numbers = (str(count // 2), str(CREASE))
-        command = [sys.executable, "-c", _CHILD, str(source), str(target), *numbers]
-        try:
-            ended = subprocess.run(
-                command, timeout=_PATIENCE, capture_output=True, check=False, cwd=folder
-            )
-        except subprocess.TimeoutExpired:
-            return None
-        if ended.returncode != 0 or not target.exists():
-            return None
-        with np.load(target, allow_pickle=False) as arrays:
-            vertices, faces = arrays["vertices"], arrays["faces"]
+    words = (str(count // 2), str(CREASE))
+    arrays = arrays_from_child(mesh, _CHILD, words, _PATIENCE)
+    if arrays is None:
+        return None
+    vertices, faces = arrays["vertices"], arrays["faces"]
     if not len(faces) or not np.isfinite(vertices).all():
         return None
     # the library leaves a triangle out where a face has five corners

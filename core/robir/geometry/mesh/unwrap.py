@@ -5,12 +5,8 @@ from __future__ import annotations
 
 import json
 import math
-import subprocess
-import sys
-import tempfile
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,39 +14,23 @@ from numpy.typing import NDArray
 from robir.constants import applied
 from robir.errors import StorageError
 from robir.geometry.mesh.charts import ATLAS_SIZE, GUTTER
+from robir.geometry.mesh.child import arrays_from_child
 from robir.geometry.mesh.simplify import decimate
 from robir.geometry.mesh.triangles import Mesh
 
+_CHILD = "from robir.geometry.mesh.charts import main; main(*sys.argv[1:])"
 _CLOCK_FACTOR = 8  # seconds of the clock that a second of processor time may take on a busy machine
 
 
 def _in_child(mesh: Mesh, seconds: float) -> tuple[NDArray[np.float32], NDArray[np.int32]] | None:
     """Charts made in a child process, or None if it takes too long or fails."""
-    with tempfile.TemporaryDirectory(prefix="robir-unwrap-") as folder:
-        source, target = Path(folder, "mesh.npz"), Path(folder, "atlas.npz")
-        np.savez(source, vertices=mesh.vertices, faces=mesh.faces)
-        # other modules than these would load torch there
-        constants = [one for one in applied if one.startswith("geometry.mesh.")]
-        command = [
-            sys.executable,
-            "-c",
-            "import sys; sys.path[:0] = sys.argv[5:]; from robir.geometry.mesh.charts import main; "
-            "main(*sys.argv[1:5])",
-            str(source),
-            str(target),
-            str(seconds),
-            json.dumps(constants),
-            *[entry for entry in sys.path if entry],
-        ]
-        try:
-            patience = seconds * _CLOCK_FACTOR
-            ended = subprocess.run(command, timeout=patience, capture_output=True, check=False)
-        except subprocess.TimeoutExpired:
-            return None
-        if ended.returncode != 0 or not target.exists():
-            return None
-        with np.load(target, allow_pickle=False) as arrays:
-            uvs, uv_faces = arrays["uvs"], arrays["uv_faces"]
+    # other modules than these would load torch there
+    constants = [one for one in applied if one.startswith("geometry.mesh.")]
+    words = (str(seconds), json.dumps(constants))
+    made = arrays_from_child(mesh, _CHILD, words, seconds * _CLOCK_FACTOR)
+    if made is None:
+        return None
+    uvs, uv_faces = made["uvs"], made["uv_faces"]
     usable = len(uv_faces) == len(mesh.faces) and bool(np.isfinite(uvs).all())
     return (uvs, uv_faces) if usable else None
 
