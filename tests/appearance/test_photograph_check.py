@@ -12,7 +12,7 @@ from appearance.texture.test_albedo import PAINTS, lit_floor
 from scipy.spatial import cKDTree
 
 from robir.appearance.photograph_check import Asset, PhotographCheck, check_asset
-from robir.appearance.texture.albedo import texel_albedo
+from robir.appearance.texture.albedo import LitTexels, texel_albedo
 from robir.steps import Pipeline
 
 
@@ -22,8 +22,10 @@ def floor():
     problem, light, texels, views, specular, tracer = lit_floor(PAINTS, lambda at: at[:, 1] > 0)
     specular = replace(specular, has_highlights=False)
 
+    lit = LitTexels.of((problem, light), texels, views, tracer)
+
     def read(material):
-        return texel_albedo((problem, light, material), texels, views, tracer, Pipeline())
+        return texel_albedo(lit, material, Pipeline())
 
     asset = Asset(problem=problem, light=light, specular=specular, values=read(specular))
     return asset, PhotographCheck(problem, texels, views, tracer), read, texels

@@ -56,13 +56,13 @@ def test_photographs_in_another_light_take_no_part_in_the_texture(tmp_path: Path
     bake(mesh, capture.train, sizes, seed=0).save(paths.stage("transport"))
     paths.stage("appearance").mkdir(parents=True)
     read: list[str] = []
-    texel_albedo = texturing.texel_albedo
+    lit_texels = texturing.LitTexels.of
 
     def recorded(solved, texels, views, *others):
         read.extend(view.name for view in views)
-        return texel_albedo(solved, texels, views, *others)
+        return lit_texels(solved, texels, views, *others)
 
-    monkeypatch.setattr(texturing, "texel_albedo", recorded)
+    monkeypatch.setattr(texturing.LitTexels, "of", recorded)
     stage.run(
         StageContext(
             paths=paths,

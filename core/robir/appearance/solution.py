@@ -58,11 +58,6 @@ class Solution:
             raise RuntimeError("gloss was not looked for")
         return self.specular
 
-    @property
-    def thorough(self) -> AppearanceConfig:
-        """Twice the steps: a sky that only few samples face takes its time."""
-        return replace(self.config, iterations=2 * self.config.iterations)
-
 
 def solve(
     problem: Problem, light: Light, config: AppearanceConfig, seed: int, pipeline: Pipeline
@@ -79,7 +74,7 @@ def _polish(state: Solution) -> Solution:
 def _find_distance(state: Solution) -> Solution:
     problem, light, afar = with_distance(state.problem, state.light, state.config, state.seed)
     if problem is state.problem:
-        return state
+        return replace(state, light=light)
     choice = Choice(
         choice="distance of the light",
         chosen=f"{problem.scene.light_distance:g} radii of the thing",
@@ -93,10 +88,8 @@ def _find_distance(state: Solution) -> Solution:
 
 
 def _by_every_sample(state: Solution) -> Solution:
-    rng = np.random.default_rng(state.seed)
-    whole = state.problem.by_every_sample(rng)
-    light = refit(whole, state.light, state.prior, state.thorough)
-    return replace(state, problem=whole, matte=whole, light=light)
+    whole = state.problem.by_every_sample(np.random.default_rng(state.seed))
+    return replace(state, problem=whole, matte=whole)
 
 
 def _find_specular(state: Solution) -> Solution:
@@ -138,7 +131,9 @@ def _white_point(state: Solution) -> Solution:
 
 
 def _refit(state: Solution) -> Solution:
-    return replace(state, light=refit(state.matte, state.light, state.prior, state.thorough))
+    # twice the steps: a sky that only few samples face takes its time
+    thorough = replace(state.config, iterations=2 * state.config.iterations)
+    return replace(state, light=refit(state.matte, state.light, state.prior, thorough))
 
 
 # all steps, in their order
@@ -151,14 +146,16 @@ SOLUTION: tuple[Step[Solution], ...] = (
     ),
     Step(
         name="distance",
-        purpose="tells the light of a room, which is near, from that of a sky",
-        source="ours: light from a sphere, inverse square law",
+        purpose="solves the light's strengths, and tells a room's light, which is near, from a "
+        "sky's",
+        source="ours: robust differences of log albedo (Land and McCann's Retinex), light from a "
+        "sphere, inverse square law",
         run=_find_distance,
     ),
     Step(
         name="every-sample",
-        purpose="solves the light's strengths by all samples, shadows deciding",
-        source="ours: robust differences of log albedo, Land and McCann's Retinex",
+        purpose="goes on with all samples: the suns were found by some",
+        source="ours",
         run=_by_every_sample,
         is_on_trial=False,
     ),
@@ -184,7 +181,8 @@ SOLUTION: tuple[Step[Solution], ...] = (
     ),
     Step(
         name="refit",
-        purpose="solves the strengths without the highlights, at the level and hue told",
+        purpose="solves the strengths by all samples, without the highlights, at the level and hue "
+        "told",
         source="ours",
         run=_refit,
     ),

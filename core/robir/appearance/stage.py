@@ -42,7 +42,7 @@ from robir.transport.baked import Transport
 from robir.transport.observe import MASK_INSIDE
 from robir.workers import meanwhile
 
-REVISION = 101
+REVISION = 102
 
 
 # all steps of the stage, in their order

@@ -16,7 +16,7 @@ from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light
 from robir.appearance.material.specular import SpecularMaterial
 from robir.appearance.photograph_check import Asset, CheckResult, PhotographCheck, check_asset
-from robir.appearance.texture.albedo import texel_albedo
+from robir.appearance.texture.albedo import LitTexels, texel_albedo
 from robir.appearance.texture.detail import SharpestViews, finer
 from robir.appearance.texture.lost_detail import regained
 from robir.appearance.texture.texels import TexelAlbedo, Texels
@@ -109,6 +109,7 @@ class Texture:
     inside: NDArray[np.bool_]  # (T, T) bool, texels that belong to a chart, row 0 at v = 1
     # face (N,) and barycentric coordinates (N, 3) of the texels that were solved
     atlas: tuple[NDArray[np.int32], Floats]
+    lit: LitTexels  # these texels, whatever their material
     values: TexelAlbedo  # of these texels
     pipeline: Pipeline = field(compare=False)  # of the stage's steps, for what is read again
     # result of the photograph check; None before it
@@ -133,10 +134,11 @@ def textured(
     inside = face >= 0
     atlas = (face[inside], barycentric[inside].astype(np.float32))
     position, normal = interpolate(mesh, *atlas)
-    texels = Texels(position=position, normal=normal)
     # a pixel about as large as a texel
     spread = spread_views(capture.train, _ALBEDO_VIEWS)
     views = resize_views(spread, side)
+    texels = Texels(position=position, normal=normal)
+    lit = LitTexels.of((problem, light), texels, views, tracer)
     start = Texture(
         problem=problem,
         light=light,
@@ -148,7 +150,8 @@ def textured(
         config=config,
         inside=inside,
         atlas=atlas,
-        values=texel_albedo(solved, texels, views, tracer, pipeline),
+        lit=lit,
+        values=texel_albedo(lit, specular, pipeline),
         pipeline=pipeline,
     )
     return pipeline.run(TEXTURE, start)
@@ -158,12 +161,10 @@ def _check_photographs(state: Texture) -> Texture:
     asset = Asset(
         problem=state.problem, light=state.light, specular=state.specular, values=state.values
     )
-    position, normal = interpolate(state.mesh, *state.atlas)
-    texels = Texels(position=position, normal=normal)
+    texels = state.lit.texels
 
     def read(specular: SpecularMaterial) -> TexelAlbedo:
-        solved = (state.problem, state.light, specular)
-        return texel_albedo(solved, texels, state.views, state.tracer, state.pipeline)
+        return texel_albedo(state.lit, specular, state.pipeline)
 
     check = PhotographCheck(state.problem, texels, state.views, state.tracer)
     checked = check_asset(check, asset, read, texels)

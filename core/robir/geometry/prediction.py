@@ -37,7 +37,7 @@ _NEAREST = 4  # photographs, the nearest to a target, that predict it
 _WHOLE = 0.95  # coverage from which a pixel is object
 _MOST_PIXELS = 30_000  # of a target that are predicted, in every n-th row and column
 _OUTLINE = 2  # distance from the outline within which masks are not believed (pixels)
-_LEARNT_POINTS = 6000  # points of the surface by which what is mirrored is learnt
+_LEARNT_POINTS = 3000  # points of the surface by which what is mirrored is learnt
 _SLACK = 0.01  # distance by which a ray may end before the surface it is to see (unit frame)
 
 # cells along each side of the map; 24 are 8 degrees wide in the middle, as fine as normals are
@@ -46,7 +46,7 @@ _SIDE = 24
 # cosine of the view below which a normal a few degrees off mirrors quite another direction
 _GRAZING = 0.15
 _HELD = 20.0  # observations by which a cell is held to mirror nothing
-_ROUNDS = 12  # turns of solving spots and map after each other
+_ROUNDS = 6  # turns of solving spots and map after each other
 _LEAST_VIEWS = 3  # photographs that must show a spot from which the map is learnt
 _LEAST_VIEWS_OF_SPREAD = 4  # photographs that must show a vertex before their differences count
 

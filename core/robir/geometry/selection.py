@@ -44,13 +44,15 @@ _BENT = 5.0
 _RELIEF = 4.0
 # rounds of Taubin smoothing that take the steps of the cells out of an extracted surface
 _SMOOTH_ROUNDS = 5
-# by how much a surface may lie behind the fit and yet overtake it: refinement brings 1.7 to 8.2
-_WITHIN_REACH = 6.0
+# by how much a surface may lie behind the fit and yet overtake it: refinement brings -0.4 to 5.7
+_WITHIN_REACH = 4.0
 # lead from which it does: scissors that the fit has better come to 0.4, what is better 2.8 and more
 _OVERTAKES = 2.0
 # standard errors by which a surface that fills guessed masks may lie behind one that need not
 _BELIEVED = 3.0
 _GUESSED_WITHIN = 4.0  # distance from the outline of a guessed mask beyond which it is (pixels)
+# photographs must be so many times as large as a size to show less at it: none is looked at twice
+_COARSER = 1.25
 _GRAIN = 1.5  # width of what may be noise of a fit, where cells are wider (pixels)
 # pixels of a photograph a face: two faces a vertex, and a vertex every other row and column
 _FACE_PIXELS = 2.0
@@ -162,6 +164,11 @@ class Selection:
         ahead = self._coarse.lead_over(smooth_surface(free), smooth_surface(held))
         return held if ahead > -_BELIEVED else free
 
+    @property
+    def _longest(self) -> int:
+        """Longest side of the photographs (pixels)."""
+        return max(max(view.camera.width, view.camera.height) for view in self._views)
+
     def _reduced(self, side: int) -> list[ReducedPhoto]:
         return side_by_side(lambda view: reduce_view(view, side), self._views)
 
@@ -228,10 +235,11 @@ class Selection:
 
     def _refined(self, dense: Dense) -> Dense:
         """A surface moved to where patches agree, if photographs and its bending speak for that."""
-        sides = self._config.refine_sides
+        finest = max(self._config.refine_sides)
         judges = [
-            self.judge if side == max(sides) else PhotographJudge(self._reduced(side))
-            for side in sides
+            self.judge if side == finest else PhotographJudge(self._reduced(side))
+            for side in self._config.refine_sides
+            if side == finest or side * _COARSER <= self._longest
         ]
         moved = refine(dense.mesh, judges)
         # at the size that it was refined by: half of it does not show what it gained

@@ -14,8 +14,8 @@ from transport.shapes import looking_at, mesh_of, patch, photograph
 from robir.appearance.light.lobes import soft_transfer
 from robir.appearance.light.problem import make_problem, make_scene
 from robir.appearance.material.specular import SpecularMaterial
-from robir.appearance.texture.albedo import _STEP, ALBEDO, TexelState, texel_albedo
-from robir.appearance.texture.residual_shading import smoothed_albedo, with_normals
+from robir.appearance.texture.albedo import _STEP, ALBEDO, LitTexels, TexelState, texel_albedo
+from robir.appearance.texture.residual_shading import Surroundings, with_normals
 from robir.appearance.texture.shadow_edges import Reference, fill_clipped, solve_shadow_edges
 from robir.appearance.texture.texels import NORMAL_SCALE, Texels
 from robir.geometry.mesh.tracer import EmbreeTracer
@@ -117,7 +117,7 @@ def test_evening_removes_errors_of_the_light_and_keeps_texture_and_edges():
     seen[unknown] = 0.9
     disagreement = np.where(unknown, 1.0, 0.05).astype(np.float32)
     points = with_normals(texels.position, texels.normal, NORMAL_SCALE)
-    left = np.log(smoothed_albedo(seen, disagreement, points, _STEP) / paint).mean(1)
+    left = np.log(Surroundings(points, _STEP).smoothed(seen, disagreement) / paint).mean(1)
     inner = (np.abs(y) > 0.05) & (np.maximum(np.abs(x), np.abs(y)) < 0.5) & ~unknown
     basis = np.stack([bumps, stripes, np.ones_like(x)], axis=1)[inner]
     (kept_bumps, kept_stripes, offset), *_ = np.linalg.lstsq(basis, left[inner], rcond=None)
@@ -139,7 +139,8 @@ def test_paint_that_is_hardly_known_becomes_what_surrounds_it(doubt, share_left)
     dark = np.hypot(position[:, 0], position[:, 1]) < 0.12
     albedo = np.tile(np.float32([0.3, 0.2, 0.1]), (6000, 1))
     albedo[dark] *= 0.4
-    result = smoothed_albedo(albedo, np.where(dark, doubt, 0.05).astype(np.float32), points, _STEP)
+    unknown = np.where(dark, doubt, 0.05).astype(np.float32)
+    result = Surroundings(points, _STEP).smoothed(albedo, unknown)
     left = np.median(np.log(result[dark] / [0.3, 0.2, 0.1])) / np.log(0.4)
     assert left < share_left if doubt > 0.5 else left > share_left
 
@@ -192,7 +193,8 @@ def test_texels_of_a_lit_floor_have_their_paint():
     """Albedo is pi R / E, unseen texels borrow it."""
     problem, light, texels, views, matte, tracer = lit_floor(PAINTS, lambda at: at[:, 1] > 0)
     y = texels.position[:, 1]
-    start = TexelState.of((problem, light, matte), texels, views, tracer)
+    lit = LitTexels.of((problem, light), texels, views, tracer)
+    start = TexelState.of(lit, matte)
     state = Pipeline().run(ALBEDO, start)
     values, disagreement = state.values, state.disagreement
     paint = PAINTS[(y > 0).astype(int)]
@@ -209,7 +211,7 @@ def test_texels_of_a_lit_floor_have_their_paint():
     np.testing.assert_allclose(values.roughness, 0.5, rtol=1e-6)
     # Views of a glossy surface agree as well as those of a dull one.
     glossy = replace(matte, floor=0.1 * problem.radiance.linear.numpy())
-    start = TexelState.of((problem, light, glossy), texels, views, tracer)
+    start = TexelState.of(lit, glossy)
     again = Pipeline().run(ALBEDO, start)
     assert np.abs(again.values.albedo / values.albedo - 0.9)[inner & ~unseen].max() < 0.05
     np.testing.assert_allclose(
@@ -228,7 +230,8 @@ def test_what_no_model_explains_is_shown_as_the_mean(has_highlights):
         for view, factor in zip(views, factors, strict=True)
     )
     specular = replace(matte, has_highlights=has_highlights)
-    values = texel_albedo((problem, light, specular), texels, views, tracer, Pipeline())
+    lit = LitTexels.of((problem, light), texels, views, tracer)
+    values = texel_albedo(lit, specular, Pipeline())
     seen = observe(tracer, texels.position, texels.normal, views, 0.003)
     soft = problem.scene.soft[0] @ light.amplitudes.soft
     irradiance = (soft + float(synthetic.SUN[2]) * light.amplitudes.sharp[0]).numpy()

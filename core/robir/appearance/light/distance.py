@@ -29,19 +29,21 @@ def with_distance(
     Once it is near, suns are searched anew: what a lamp shades from near by points elsewhere for a
     sun. One that the user knows is taken for a sun.
     """
-    if problem.scene.sun is not None:
-        return problem, light, light.loss
 
     def lit_from(distance: float) -> Problem:
         return replace(problem, scene=problem.scene.lit_from(distance))
 
     def solved(scene: Problem, start: Light) -> tuple[Problem, Light]:
-        return scene, refit(scene, start, NO_PRIOR, config)
+        solution = refit(scene, start, NO_PRIOR, config)
+        return scene, replace(solution, history=light.history)
 
     # by the same suns: a loss without any compares other pairs
-    (_, afar), best = solved(problem, light), solved(room := lit_from(_ROOM), light)
+    _, afar = solved(problem, light)
+    if problem.scene.sun is not None:
+        return problem, afar, afar.loss
+    best = solved(room := lit_from(_ROOM), light)
     if best[1].loss > (1 - _LEAST_GAIN) * afar.loss:
-        return problem, light, afar.loss
+        return problem, afar, afar.loss
     start = light
     if len(light.axes):
         found = find_suns(room, config, seed)
@@ -50,5 +52,4 @@ def with_distance(
         if again[1].loss < best[1].loss:
             best, start = again, moved
     trials = (solved(lit_from(distance), start) for distance in _OTHERS)
-    near, found = min((best, *trials), key=lambda trial: trial[1].loss)
-    return near, replace(found, history=light.history), afar.loss
+    return *min((best, *trials), key=lambda trial: trial[1].loss), afar.loss

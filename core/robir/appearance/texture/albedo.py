@@ -8,6 +8,7 @@ light and bounces vary slowly and come from the samples, the suns are traced per
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -26,15 +27,11 @@ from robir.appearance.photometry.statistics import (
     texture_weights,
     weighted_radiance,
 )
-from robir.appearance.texture.residual_shading import (
-    most_albedo,
-    smoothed_albedo,
-    with_normals,
-)
+from robir.appearance.texture.residual_shading import Surroundings, most_albedo, with_normals
 from robir.appearance.texture.shadow_edges import (
     Reference,
+    ShadowBorders,
     fill_clipped,
-    on_edges,
     solve_shadow_edges,
 )
 from robir.appearance.texture.texels import (
@@ -131,38 +128,31 @@ class TexelMaterial:
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TexelState:
-    """Texels whose albedo is being read."""
+@dataclass(frozen=True, kw_only=True)
+class LitTexels:
+    """Texels with what photographs show of them and what arrives there, whatever their material."""
 
     problem: Problem  # scene under the chosen tone curve
     light: Light  # solved light
     texels: Texels  # points of the atlas
-    material: TexelMaterial  # all but the albedo
+    blend: Blend  # of values of the surface samples
     seen: Observations  # what the photographs show of the texels
     total: Floats  # (N, 3) radiance that stands for all views
     clipped: NDArray[np.bool_]  # (N, 3) bool, channels that are clipped
     soft: Floats  # (N, 3) irradiance from sky and other surfaces
     narrow: Floats  # (N, J) visibility times cosine of the suns
-    albedo: Floats  # (N, 3) so far
     spread: Floats  # (N,) standard error over views of the log of a texel's brightness
-    edge: NDArray[np.bool_]  # (N,) bool, where it is not known how much sun arrives
-    # (N,) standard deviation of log albedo by views, shadow edges and dim light
-    disagreement: Floats
-    unknown: Floats  # (N,) the same, with what a specular layer hides
-    reference: Reference | None = None  # texels whose albedo is certain; None before it was read
-    smooth: Floats | None = None  # (N, 3) smoothed albedo; None where it was not smoothed
 
     @classmethod
     def of(
         cls,
-        solved: tuple[Problem, Light, SpecularMaterial],
+        lit: tuple[Problem, Light],
         texels: Texels,
         views: tuple[View, ...],
         tracer: EmbreeTracer,
-    ) -> TexelState:
-        """Texels with what photographs show and what arrives at them; see `texel_albedo`."""
-        problem, light, specular = solved
+    ) -> LitTexels:
+        """Read texels in photographs, which have the size that they are read at."""
+        problem, light = lit
         blend = Blend(problem, texels)
         soft = blend(problem.scene.soft @ light.amplitudes.soft + problem.indirect)
         seen = observe(tracer, texels.position, texels.normal, views, problem.scene.offset)
@@ -171,22 +161,17 @@ class TexelState:
         share = texture_weights(observed, texels.position)
         radiance = weighted_radiance(seen, linear, share)
         shown = display_mean(linear, share, problem.curve)
-        rays, nothing = 2 * SUN_RAY_PAIRS, np.zeros(len(soft), np.float32)
         return cls(
             problem=problem,
             light=light,
             texels=texels,
-            material=TexelMaterial.of(specular, blend),
+            blend=blend,
             seen=seen,
             total=shown.clamp(min=1e-5).numpy(),
             clipped=radiance.clipped.numpy(),
             soft=soft,
-            narrow=sun_transfer(problem, light, texels, light.sharpness, rays),
-            albedo=np.zeros_like(soft),
+            narrow=sun_transfer(problem, light, texels, light.sharpness, 2 * SUN_RAY_PAIRS),
             spread=_spread(linear, seen),
-            edge=nothing > 0,
-            disagreement=nothing,
-            unknown=nothing,
         )
 
     @property
@@ -194,25 +179,65 @@ class TexelState:
         """(J, 3) irradiance of the suns on what faces them."""
         return self.light.amplitudes.sharp.numpy()
 
-    @property
+    @cached_property
     def irradiance(self) -> Floats:
         """(N, 3)."""
         return self.soft + self.narrow @ self.sun
 
+    @cached_property
+    def coverage(self) -> NDArray[np.int64]:
+        """(N,) views that show each texel."""
+        return (self.seen.weight > 0).sum(1)
+
+    @cached_property
+    def borders(self) -> ShadowBorders:
+        """Where it is not known how much sun arrives."""
+        return ShadowBorders.of(self.problem, self.light, self.texels, float(self.soft.mean()))
+
+    @cached_property
+    def surroundings(self) -> Surroundings:
+        """The texels about each."""
+        points = with_normals(self.texels.position, self.texels.normal, NORMAL_SCALE)
+        return Surroundings(points, _STEP)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TexelState:
+    """Texels whose albedo is being read."""
+
+    lit: LitTexels  # what photographs show of them and what arrives
+    material: TexelMaterial  # all but the albedo
+    albedo: Floats  # (N, 3) so far
+    edge: NDArray[np.bool_]  # (N,) bool, where it is not known how much sun arrives
+    # (N,) standard deviation of log albedo by views, shadow edges and dim light
+    disagreement: Floats
+    unknown: Floats  # (N,) the same, with what a specular layer hides
+    reference: Reference | None = None  # texels whose albedo is certain; None before it was read
+    smooth: Floats | None = None  # (N, 3) smoothed albedo; None where it was not smoothed
+
+    @classmethod
+    def of(cls, lit: LitTexels, specular: SpecularMaterial) -> TexelState:
+        """Texels of a specular material, of whose albedo nothing is known yet."""
+        nothing = np.zeros(len(lit.total), np.float32)
+        return cls(
+            lit=lit,
+            material=TexelMaterial.of(specular, lit.blend),
+            albedo=np.zeros_like(lit.soft),
+            edge=nothing > 0,
+            disagreement=nothing,
+            unknown=nothing,
+        )
+
     @property
     def below(self) -> Floats:
         """(N, 3) diffuse radiance below a specular layer."""
-        return np.maximum(self.total - self.material.floor, _LEAST_DIFFUSE * self.total)
+        total = self.lit.total
+        return np.maximum(total - self.material.floor, _LEAST_DIFFUSE * total)
 
     @property
     def exitant(self) -> Floats:
         """(N, 3) diffuse radiosity."""
         return np.pi * self.below / self.material.kept
-
-    @property
-    def coverage(self) -> NDArray[np.int64]:
-        """(N,) views that show each texel."""
-        return (self.seen.weight > 0).sum(1)
 
     @property
     def known(self) -> Reference:
@@ -224,33 +249,26 @@ class TexelState:
     @property
     def values(self) -> TexelAlbedo:
         """All that is known of the texels."""
-        smooth = self.albedo if self.smooth is None else self.smooth
-        distance = distance_to_seen(self.texels.position, self.coverage > 0)
+        lit, smooth = self.lit, self.albedo if self.smooth is None else self.smooth
+        distance = distance_to_seen(lit.texels.position, lit.coverage > 0)
         changed = np.abs(np.log(smooth / self.albedo)).mean(1)
         return TexelAlbedo(
             albedo=smooth.astype(np.float32),
-            coverage=self.coverage,
+            coverage=lit.coverage,
             read=self.albedo.astype(np.float32),
-            uncertainty=standard_error(self.spread, changed, self.coverage, distance),
+            uncertainty=standard_error(lit.spread, changed, lit.coverage, distance),
             roughness=self.material.roughness.astype(np.float32),
             metallic=self.material.metallic.astype(np.float32),
-            irradiance=self.irradiance.astype(np.float32),
+            irradiance=lit.irradiance.astype(np.float32),
         )
 
 
-def texel_albedo(
-    solved: tuple[Problem, Light, SpecularMaterial],
-    texels: Texels,
-    views: tuple[View, ...],
-    tracer: EmbreeTracer,
-    pipeline: Pipeline,
-) -> TexelAlbedo:
+def texel_albedo(lit: LitTexels, specular: SpecularMaterial, pipeline: Pipeline) -> TexelAlbedo:
     """Albedo of every texel (base colour of metal), how well it is known, roughness and metal.
 
-    Texels no view shows take their neighbours' albedo. Photographs have the size they are read at.
+    Texels no view shows take their neighbours' albedo.
     """
-    start = TexelState.of(solved, texels, views, tracer)
-    return pipeline.run(ALBEDO, start).values
+    return pipeline.run(ALBEDO, TexelState.of(lit, specular)).values
 
 
 def _spread(linear: Tensor, seen: Observations) -> Floats:
@@ -264,16 +282,16 @@ def _spread(linear: Tensor, seen: Observations) -> Floats:
 
 
 def _divide(state: TexelState) -> TexelState:
-    irradiance, metallic = state.irradiance, state.material.metallic
+    lit, metallic = state.lit, state.material.metallic
+    irradiance = lit.irradiance
     albedo = state.exitant / np.hypot(irradiance, _DIM_SHARE * irradiance.mean(0))
     albedo[metallic] = state.material.metal[metallic]
-    sky = float(state.soft.mean())
-    edge = on_edges(state.problem, state.light, state.texels, albedo, sky) & ~metallic
-    certain = (state.coverage >= 2) & ~edge & ~state.clipped.any(1)
+    edge = lit.borders.on_edges(albedo) & ~metallic
+    certain = (lit.coverage >= 2) & ~edge & ~lit.clipped.any(1)
     doubt = irradiance_doubt(torch.from_numpy(irradiance)).numpy()
     common = np.where(edge, _EDGE_ERROR, _VIEW_ERROR)
-    known = np.sqrt(state.spread**2 + common**2 + doubt**2)
-    disagreement = np.where(state.coverage > 0, known, 1.0).clip(0.0, 1.0)
+    known = np.sqrt(lit.spread**2 + common**2 + doubt**2)
+    disagreement = np.where(lit.coverage > 0, known, 1.0).clip(0.0, 1.0)
     reflected = _SPECULAR_ERROR * state.material.floor.mean(1) / state.below.mean(1)
     return replace(
         state,
@@ -281,39 +299,38 @@ def _divide(state: TexelState) -> TexelState:
         edge=edge,
         disagreement=disagreement,
         unknown=np.hypot(disagreement, reflected).clip(0.0, 1.0),
-        reference=Reference(state.texels, albedo, certain),
+        reference=Reference(lit.texels, albedo, certain),
     )
 
 
 def _solve_shadow_edges(state: TexelState) -> TexelState:
     if not state.edge.any():
         return state
-    arriving = (state.soft, state.narrow, state.sun)
+    lit = state.lit
+    arriving = (lit.soft, lit.narrow, lit.sun)
     diffuse = (state.albedo, state.exitant)
-    points = (state.texels.position, state.texels.normal)
-    facing = np.clip(state.problem.scene.facing(points, state.light.axes), 0, None)
-    albedo = solve_shadow_edges(diffuse, arriving, facing, state.texels, state.edge, state.known)
+    facing = lit.borders.facing
+    albedo = solve_shadow_edges(diffuse, arriving, facing, lit.texels, state.edge, state.known)
     return replace(state, albedo=albedo)
 
 
 def _fill_clipped(state: TexelState) -> TexelState:
-    if not state.clipped.any():
+    if not state.lit.clipped.any():
         return state
-    albedo = fill_clipped(state.albedo, state.clipped, state.known, state.texels)
+    albedo = fill_clipped(state.albedo, state.lit.clipped, state.known, state.lit.texels)
     return replace(state, albedo=albedo)
 
 
 def _fill_unseen(state: TexelState) -> TexelState:
-    hidden, albedo = state.coverage == 0, state.albedo.copy()
-    albedo[hidden] = state.known.nearest_albedo(state.texels, hidden)
+    hidden, albedo = state.lit.coverage == 0, state.albedo.copy()
+    albedo[hidden] = state.known.nearest_albedo(state.lit.texels, hidden)
     return replace(state, albedo=np.clip(albedo, MIN_ALBEDO, MAX_ALBEDO))
 
 
 def _smooth_albedo(state: TexelState) -> TexelState:
-    points = with_normals(state.texels.position, state.texels.normal, NORMAL_SCALE)
-    reflected = state.total * state.material.kept / state.below
+    reflected = state.lit.total * state.material.kept / state.below
     most = most_albedo(state.albedo, reflected, state.disagreement)
-    smooth = np.minimum(smoothed_albedo(state.albedo, state.unknown, points, _STEP), most)
+    smooth = np.minimum(state.lit.surroundings.smoothed(state.albedo, state.unknown), most)
     return replace(state, smooth=smooth.clip(MIN_ALBEDO, MAX_ALBEDO))
 
 

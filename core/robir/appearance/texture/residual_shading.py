@@ -50,39 +50,47 @@ def most_albedo(albedo: Floats, reflected: Floats, disagreement: Floats) -> Floa
     return (albedo * np.maximum(reflected, 1.0) * slack).astype(np.float32)
 
 
-def smoothed_albedo(albedo: Floats, unknown: Floats, points: Floats, step: int) -> Floats:
-    """Albedo (N, 3) without what errors of mesh, light and shadow edges leave in it.
+class Surroundings:
+    """The texels about each, found once."""
 
-    Every texel is drawn towards the mean of what is like it in its wider surroundings, by inverse
-    variances. Errors of the light change brightness more than hue, so likeness asks more of hue.
-    The corrections, not the albedo, are then blurred: no error varies faster than the mesh's do,
-    and finer texture stays. `unknown` (N,) is one standard deviation of the albedo's logarithm,
-    `points` (N, 6) come from `with_normals`, and every `step`-th texel stands for its neighbours.
-    """
-    nodes = np.arange(0, len(points), step)
-    afar = np.arange(0, len(nodes), step)
-    distance, index = nearest(points[nodes], points[nodes[afar]], _COUNT, _REACH)
-    other = afar[index]
-    before = smooth = np.log(albedo[nodes].T.astype(np.float32))
-    doubt = unknown[nodes].astype(np.float32)
-    certainty = 1 / (_LEAST_DOUBT + doubt) ** 2
-    # not everything resembles the unknown
-    wider = np.stack([doubt, np.minimum(_HUE_DOUBT * doubt, _ALIKE_HUE)])
-    alike = np.array([[_ALIKE_BRIGHTNESS], [_ALIKE_HUE]], np.float32)
-    width = 1 / (2 * (alike**2 + wider**2))
-    known = np.isfinite(distance) * certainty[other]
-    parts = blocks(len(nodes), CHUNK)
+    def __init__(self, points: Floats, step: int) -> None:
+        """Of `points` (N, 6) from `with_normals`; every `step`-th stands for its neighbours."""
+        self._nodes = np.arange(0, len(points), step)
+        afar = np.arange(0, len(self._nodes), step)
+        distance, index = nearest(points[self._nodes], points[self._nodes[afar]], _COUNT, _REACH)
+        self._is_near, self._other = np.isfinite(distance), afar[index]
+        distance, self._close = nearest(points, points[self._nodes], _BLURRED, 3 * _MESH_ERROR)
+        weight = np.exp(-(distance**2) / (2 * _MESH_ERROR**2))
+        self._share = weight / weight.sum(1, keepdims=True).clip(1e-9)
 
-    def drawn(smooth: Floats, rows: slice) -> Floats:
-        own = (smooth[:, rows], certainty[rows], width[:, rows])
-        return _drawn_together(own, smooth[:, other[rows]], known[rows])
+    def smoothed(self, albedo: Floats, unknown: Floats) -> Floats:
+        """Albedo (N, 3) without what errors of mesh, light and shadow edges leave in it.
 
-    for _ in range(_ROUNDS):
-        smooth = np.concatenate(side_by_side(partial(drawn, smooth), parts), axis=1)
-    distance, index = nearest(points, points[nodes], _BLURRED, 3 * _MESH_ERROR)
-    weight = np.exp(-(distance**2) / (2 * _MESH_ERROR**2))
-    change = np.einsum("nk,nkc->nc", weight, (smooth - before).T[index])
-    return albedo * np.exp(change / weight.sum(1, keepdims=True).clip(1e-9))
+        Every texel is drawn towards the mean of what is like it in its wider surroundings, by
+        inverse variances. Errors of the light change brightness more than hue, so likeness asks
+        more of hue. The corrections, not the albedo, are then blurred: no error varies faster than
+        the mesh's do, and finer texture stays. `unknown` (N,) is one standard deviation of the
+        albedo's logarithm.
+        """
+        nodes, other = self._nodes, self._other
+        before = smooth = np.log(albedo[nodes].T.astype(np.float32))
+        doubt = unknown[nodes].astype(np.float32)
+        certainty = 1 / (_LEAST_DOUBT + doubt) ** 2
+        # not everything resembles the unknown
+        wider = np.stack([doubt, np.minimum(_HUE_DOUBT * doubt, _ALIKE_HUE)])
+        alike = np.array([[_ALIKE_BRIGHTNESS], [_ALIKE_HUE]], np.float32)
+        width = 1 / (2 * (alike**2 + wider**2))
+        known = self._is_near * certainty[other]
+        parts = blocks(len(nodes), CHUNK)
+
+        def drawn(smooth: Floats, rows: slice) -> Floats:
+            own = (smooth[:, rows], certainty[rows], width[:, rows])
+            return _drawn_together(own, smooth[:, other[rows]], known[rows])
+
+        for _ in range(_ROUNDS):
+            smooth = np.concatenate(side_by_side(partial(drawn, smooth), parts), axis=1)
+        change = np.einsum("nk,nkc->nc", self._share, (smooth - before).T[self._close])
+        return albedo * np.exp(change)
 
 
 def _drawn_together(own: tuple[Floats, Floats, Floats], about: Floats, known: Floats) -> Floats:

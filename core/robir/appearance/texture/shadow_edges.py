@@ -7,6 +7,7 @@ the rays say: RobIR's regularised visibility estimation (METHOD 2.7), per texel,
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -47,32 +48,44 @@ _CLIPPED_PALETTE = 8  # certain texels about one that is clipped
 _CLIPPED_QUANTILE = 0.8  # of their albedos, that it takes
 
 
-def on_edges(
-    problem: Problem, light: Light, texels: Texels, albedo: Floats, sky: float
-) -> NDArray[np.bool_]:
-    """Texels (N,) where it is not known how much sun arrives.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShadowBorders:
+    """Where it is not known how much of a sun arrives, whatever the material."""
 
-    By albedo (N, 3) under the mesh's own shadows, and the mean irradiance of the `sky`, beside
-    which a weak sun casts no edge.
-    """
-    if not len(light.axes):
-        return np.zeros(len(albedo), bool)
-    strength = light.amplitudes.sharp.numpy().mean(1) / max(1e-6, sky)
-    sharpness = np.full(len(light.axes), EDGE_SHARPNESS, np.float32)
-    wide = sun_transfer(problem, light, texels, sharpness, 2 * _RAY_PAIRS)
-    points = (texels.position, texels.normal)
-    facing = np.clip(problem.scene.facing(points, light.axes), 0, None)
-    share = wide / np.maximum(facing, 1e-3)
-    partly = share < 1 - _LEAST_SHARE
-    uncertain = (share > _LEAST_SHARE) & partly
-    uncertain |= _contested(problem.scene, light, texels, _MESH_ERROR)
-    uncertain |= partly & (albedo.max(1) > _BRIGHTEST)[:, None]
-    return (uncertain & (facing * strength > _LEAST_STRENGTH)).any(1)
+    facing: Floats  # (N, J) what would arrive of each sun, were nothing between, at least 0
+    partly: NDArray[np.bool_]  # (N, J) whether less than all of a sun arrives
+    uncertain: NDArray[np.bool_]  # (N, J) whether it is not known how much
+    casts: NDArray[np.bool_]  # (N, J) whether a sun is strong enough there to cast an edge
+
+    @classmethod
+    def of(cls, problem: Problem, light: Light, texels: Texels, sky: float) -> ShadowBorders:
+        """By the mesh's own shadows.
+
+        `sky` is the mean irradiance of the sky, beside which a weak sun casts no edge.
+        """
+        strength = light.amplitudes.sharp.numpy().mean(1) / max(1e-6, sky)
+        sharpness = np.full(len(light.axes), EDGE_SHARPNESS, np.float32)
+        wide = sun_transfer(problem, light, texels, sharpness, 2 * _RAY_PAIRS)
+        points = (texels.position, texels.normal)
+        facing = np.clip(problem.scene.facing(points, light.axes), 0, None)
+        share = wide / np.maximum(facing, 1e-3)
+        partly = share < 1 - _LEAST_SHARE
+        uncertain = (share > _LEAST_SHARE) & partly
+        uncertain |= _contested(problem.scene, light, texels, _MESH_ERROR)
+        casts = facing * strength > _LEAST_STRENGTH
+        return cls(facing=facing, partly=partly, uncertain=uncertain, casts=casts)
+
+    def on_edges(self, albedo: Floats) -> NDArray[np.bool_]:
+        """Texels (N,) where it is not known how much sun arrives, by albedo (N, 3) so far."""
+        is_bright = albedo.max(1) > _BRIGHTEST
+        return ((self.uncertain | (self.partly & is_bright[:, None])) & self.casts).any(1)
 
 
 def _contested(scene: Scene, light: Light, texels: Texels, mesh_error: float) -> NDArray[np.bool_]:
     """Whether points a mesh error away along the surface see a sun differently, (N, J)."""
     first, second = orthonormal_frame(torch.from_numpy(texels.normal))
+    if not len(light.axes):
+        return np.zeros((len(texels.position), 0), bool)
     lit = []
     for step in (0 * first, first, -first, second, -second):
         position = texels.position + mesh_error * step.numpy()

@@ -29,7 +29,7 @@ from scipy.ndimage import (
     uniform_filter,
 )
 from scipy.spatial import cKDTree
-from scipy.stats import norm
+from scipy.special import ndtri
 from torch import Tensor
 from torch.nn.functional import avg_pool3d
 
@@ -139,7 +139,7 @@ def pixel_noise(photos: list[ReducedPhoto]) -> float:
         planes = np.moveaxis(photo.premultiplied_display, 2, 0)
         left += [np.abs(convolve(plane, second))[inner] for plane in planes]
     values = np.concatenate(left)
-    return float(np.quantile(values, 0.25) / norm.ppf(0.625)) if len(values) else 0.0
+    return float(np.quantile(values, 0.25) / ndtri(0.625)) if len(values) else 0.0
 
 
 class _Solid(NamedTuple):
