@@ -11,6 +11,8 @@ import pytest
 from appearance.texture.test_albedo import PAINTS, lit_floor
 from scipy.spatial import cKDTree
 
+from robir.appearance import photograph_check
+from robir.appearance.material.roughness import MATTE
 from robir.appearance.photograph_check import Asset, PhotographCheck, check_asset
 from robir.appearance.texture.albedo import LitTexels, texel_albedo
 from robir.steps import Pipeline
@@ -89,6 +91,25 @@ def test_a_specular_layer_that_photographs_show_stays(floor):
     other._seen = replace(check._seen, display=shown)
     word = check_asset(other, glossy, read, texels)
     assert word.taken_back["specular"] == 0.0 and word.asset.specular.has_highlights
+
+
+def test_a_specular_layer_that_a_part_does_not_show_fades_out_there(floor, monkeypatch):
+    asset, check, read, texels = floor
+    glossy = glossy_of(asset, read)
+    shown, matt = (check._codes(check._radiance(one)) for one in (glossy, asset))
+    monkeypatch.setattr(photograph_check, "_LOSS", 0.1)
+    is_matt = check._points.position[:, 1] < -0.3
+    codes = np.where(is_matt[:, None, None], matt, shown)
+    other = copy.copy(check)
+    other._seen = replace(check._seen, display=np.rint(255 * codes).astype(np.uint8))
+    word = check_asset(other, glossy, read, texels)
+    assert 0.05 < word.taken_back["specular"] < 0.6 and word.asset.specular.has_highlights
+    assert word.unexplained == 0.0
+    roughness = word.asset.values.roughness
+    assert roughness.min() == pytest.approx(0.3) and roughness.max() == pytest.approx(MATTE)
+    _, beside = cKDTree(texels.position).query(texels.position, 5)
+    # an edge would be a step of all of it
+    assert np.abs(roughness[beside] - roughness[:, None]).max() < 0.7 * (MATTE - 0.3)
 
 
 def test_a_texture_that_was_smoothed_away_comes_back(floor):

@@ -57,7 +57,7 @@ _MARGIN = 2.0
 # less, and so does smoothing, which removes shading that the light did not explain on purpose.
 _LOSS = 3.0
 
-# share of the way from one block's middle to the next over which smoothing fades in and out
+# share of the way from one block's middle to the next over which what is reverted fades
 _FADE = 0.4
 
 # display error that nobody sees beside a texture; it is added to both sides of a comparison
@@ -244,7 +244,6 @@ def check_asset(
     `read` reads the texels again under another specular material.
     """
     surfels = asset.problem.scene.transport.surfels
-    of_texel = check.blocks(texels.position, texels.normal)
     of_sample = check.blocks(surfels.position, surfels.normal)
     taken: dict[str, float] = dict.fromkeys(_PARTS, 0.0)
     errors = check.errors(asset)
@@ -264,11 +263,10 @@ def check_asset(
         better = wanted & (np.nan_to_num(after.ours) < np.nan_to_num(loss.ours))
         if not better.any():
             continue
-        if part == "smoothing":
-            share = check.faded(better, texels.position, texels.normal)
-            asset = _faded(asset, tried, share)
-        else:
-            asset = _joined(asset, tried, better[of_sample], better[of_texel])
+        shares = [check.faded(better, at.position, at.normal) for at in (surfels, texels)]
+        if part == "metal":  # there is no half metal
+            shares = [np.round(share) for share in shares]
+        asset = _joined(asset, tried, *shares)
         loss = check.loss(asset)
         taken[part] = float(better.mean())
     worst = loss.decibels[loss.beyond(0.0)]
@@ -307,32 +305,27 @@ def _without(
     return replace(asset, specular=specular, values=read(specular))
 
 
-def _faded(asset: Asset, other: Asset, share: Floats) -> Asset:
-    """The asset with so much of the other's albedo at each texel (N,); no edge between blocks."""
-    mixed = asset.values.albedo + share[:, None] * (other.values.albedo - asset.values.albedo)
-    return replace(asset, values=replace(asset.values, albedo=mixed))
-
-
-def _joined(
-    asset: Asset, other: Asset, samples: NDArray[np.bool_], texels: NDArray[np.bool_]
-) -> Asset:
-    """The asset with what the other has on some samples (S,) and texels (N,)."""
-    specular = replace(
-        asset.specular,
-        roughness=np.where(samples, other.specular.roughness, asset.specular.roughness),
-        metallic=np.where(samples, other.specular.metallic, asset.specular.metallic),
-        floor=np.where(samples[:, None], other.specular.floor, asset.specular.floor),
-        kept=np.where(samples[:, None], other.specular.kept, asset.specular.kept),
-    )
+def _joined(asset: Asset, other: Asset, samples: Floats, texels: Floats) -> Asset:
+    """The asset with so much of the other at each sample (S,) and texel (N,): no edge is left."""
+    specular = {
+        name: _mixed(getattr(asset.specular, name), getattr(other.specular, name), samples)
+        for name in ("roughness", "metallic", "floor", "kept")
+    }
     values = {
-        name: np.where(
-            texels.reshape(-1, *[1] * (getattr(asset.values, name).ndim - 1)),
-            getattr(other.values, name),
-            getattr(asset.values, name),
-        )
+        name: _mixed(getattr(asset.values, name), getattr(other.values, name), texels)
         for name in ("albedo", "read", "uncertainty", "roughness", "metallic")
     }
-    return replace(asset, specular=specular, values=replace(asset.values, **values))
+    return replace(
+        asset,
+        specular=replace(asset.specular, **specular),
+        values=replace(asset.values, **values),
+    )
+
+
+def _mixed(values: Floats, others: Floats, share: Floats) -> Floats:
+    """Values (N, ...) with so much (N,) of others."""
+    share = share.reshape(-1, *[1] * (values.ndim - 1))
+    return np.where(share < 1, values + share * (others - values), others)
 
 
 def _places(position: Floats, normal: Floats) -> Floats:
