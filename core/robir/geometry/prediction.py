@@ -77,10 +77,7 @@ class Predictions:
         alike = towards @ towards.T
         np.fill_diagonal(alike, -2.0)
         self._cameras = [photo.camera for photo in photos]
-        self._layers = [
-            torch.from_numpy(np.dstack([photo.premultiplied_display, photo.coverage]))
-            for photo in photos
-        ]
+        self._layers = [torch.from_numpy(photo.layers) for photo in photos]
         self._targets = farthest_points(positions, _TARGETS)
         self._nearest = {own: np.argsort(-alike[own])[:_NEAREST] for own in self._targets}
 

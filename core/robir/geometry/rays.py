@@ -23,9 +23,18 @@ class ReducedPhoto:
     """A view reduced to the size the fit works at."""
 
     camera: Camera  # camera of exactly this size, unit frame
-    # (H, W, 3) float32, display values times coverage, in [0, 1]
-    premultiplied_display: NDArray[np.float32]
-    coverage: NDArray[np.float32]  # (H, W) float32 in [0, 1]
+    # (H, W, 4) float32 in [0, 1], display values times coverage, and coverage
+    layers: NDArray[np.float32]
+
+    @property
+    def premultiplied_display(self) -> NDArray[np.float32]:
+        """(H, W, 3), display values times coverage."""
+        return self.layers[..., :3]
+
+    @property
+    def coverage(self) -> NDArray[np.float32]:
+        """(H, W)."""
+        return self.layers[..., 3]
 
 
 def reduce_view(view: View, side: int) -> ReducedPhoto:
@@ -46,11 +55,7 @@ def reduce_view(view: View, side: int) -> ReducedPhoto:
     else:
         kept = (1.0, 1.0)
     camera = cropped(view.camera, kept).resized(stack.shape[1], stack.shape[0])
-    return ReducedPhoto(
-        camera=camera,
-        premultiplied_display=np.ascontiguousarray(stack[..., :3], dtype=np.float32),
-        coverage=np.ascontiguousarray(stack[..., 3], dtype=np.float32),
-    )
+    return ReducedPhoto(camera=camera, layers=np.ascontiguousarray(stack, dtype=np.float32))
 
 
 def cropped(camera: Camera, kept: tuple[float, float]) -> Camera:
@@ -73,10 +78,7 @@ class RaySampler:
             rows, columns = np.nonzero(wanted)
             views.append(np.full(len(rows), number, np.int16))
             pixels.append(np.stack([columns, rows], axis=1).astype(np.int16))
-            values = np.concatenate(
-                [photo.premultiplied_display[wanted], photo.coverage[wanted, None]], axis=1
-            )
-            targets.append(np.round(values * 255.0).astype(np.uint8))
+            targets.append(np.round(photo.layers[wanted] * 255.0).astype(np.uint8))
         self._views, self._pixels, self._targets = (
             torch.from_numpy(np.concatenate(parts)).to(device) for parts in (views, pixels, targets)
         )

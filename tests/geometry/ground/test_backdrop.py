@@ -86,7 +86,7 @@ def noisy(photo: ReducedPhoto, rng: np.random.Generator) -> ReducedPhoto:
     """The photograph with noise wherever it shows something."""
     grain = NOISE * rng.standard_normal(photo.premultiplied_display.shape)
     display = photo.premultiplied_display + grain * (photo.coverage[..., None] > 0)
-    return replace(photo, premultiplied_display=display.clip(0, 1).astype(np.float32))
+    return replace(photo, layers=np.dstack([display.clip(0, 1), photo.coverage]).astype(np.float32))
 
 
 def small_photo(display: NDArray[np.floating]) -> ReducedPhoto:
@@ -95,11 +95,8 @@ def small_photo(display: NDArray[np.floating]) -> ReducedPhoto:
     camera = Camera(
         width=width, height=height, fx=1.0, fy=1.0, cx=0.0, cy=0.0, camera_to_world=np.eye(4)
     )
-    return ReducedPhoto(
-        camera=camera,
-        premultiplied_display=display.astype(np.float32),
-        coverage=np.ones((height, width), np.float32),
-    )
+    layers = np.dstack([display, np.ones((height, width))]).astype(np.float32)
+    return ReducedPhoto(camera=camera, layers=layers)
 
 
 def test_noise_is_measured_whatever_the_shades_and_most_of_the_texture() -> None:
