@@ -212,3 +212,12 @@ def test_a_cameras_response_is_the_one_that_scenes_are_photographed_by():
     wanted = measured_response(light)
     shown = tone.CameraToneCurve().display_from_linear(torch.from_numpy(light)[:, None])
     np.testing.assert_allclose(shown[:, 0].numpy(), wanted, atol=1e-5)
+
+
+@pytest.mark.parametrize("curve", tone.families(), ids=identifier)
+def test_a_code_means_what_its_display_value_does(curve):
+    codes = torch.randint(0, 256, (5, 400, 3), generator=torch.Generator().manual_seed(1))
+    expected = curve.linear_from_display(codes / 255.0).float()
+    found = curve.linear_from_codes(codes.to(torch.uint8))
+    assert found.dtype == torch.float32
+    torch.testing.assert_close(found, expected, rtol=1e-5, atol=1e-7)

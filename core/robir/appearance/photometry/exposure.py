@@ -215,13 +215,10 @@ def decoded(observations: Observations, curve: AbstractToneCurve) -> Tensor:
 
     Anything where a view does not show a point.
     """
-    display = observations.display
+    codes = torch.from_numpy(observations.display)
     if not curve.mixes_channels:
-        codes = (torch.arange(256) / 255)[:, None].expand(-1, 3)
-        table = curve.linear_from_display(codes).float().numpy()
-        return torch.from_numpy(table[display, np.arange(3)])
-    seen = observations.weight > 0
-    linear = torch.zeros(display.shape)
-    known = torch.from_numpy(display[seen].astype(np.float32) / 255)
-    linear[torch.from_numpy(seen)] = curve.linear_from_display(known).float()
+        return curve.linear_from_codes(codes)
+    seen = torch.from_numpy(observations.weight > 0)
+    linear = torch.zeros(codes.shape)
+    linear[seen] = curve.linear_from_codes(codes[seen])
     return linear

@@ -259,8 +259,9 @@ class _Lens:
         """Radiance and where it can be told: wholly on the object and not clipped."""
         image = torch.from_numpy(self._view.image_display)
         counts = (torch.from_numpy(self._view.mask) > MASK_INSIDE) & (image < 255).all(2)
-        radiance = self._curve.linear_from_display(image.float() / 255.0)
-        return _Levels.of(radiance.float(), counts.float(), most)
+        radiance = torch.zeros(image.shape)
+        radiance[counts] = self._curve.linear_from_codes(image[counts])
+        return _Levels.of(radiance, counts.float(), most)
 
     def read(
         self, points: tuple[Floats, Floats], least: Floats, widths: tuple[float, float]

@@ -17,11 +17,11 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from scipy import ndimage
 
 from robir.capture.capture import Bounds, Finding, View
 from robir.capture.frames import Array
 from robir.capture.images.loading import resize_view
+from robir.capture.images.opencv import cv2
 from robir.capture.refusal import note, warning
 from robir.workers import side_by_side
 
@@ -101,6 +101,7 @@ _FINE, _COARSE = 0.5, 1.5
 _DIRECTIONS = np.array([[0.0, 1.0], [1.0, 0.0], [0.5**0.5, 0.5**0.5], [0.5**0.5, -(0.5**0.5)]])
 _MARGIN = 4  # pixels from the mask's edge that are left out: the silhouette is always sharp
 _LEAST = 400
+_AROUND = 8  # pixels about the object that its filtered picture takes
 _NEIGHBOURS = 8
 
 
@@ -135,14 +136,19 @@ def relative_sharpness(views: Sequence[View], bounds: Bounds) -> Array:
 
 def sharpness(view: View) -> Array:
     """Sharpness in four directions, then coarser gradients, (5,); NaN where the mask is small."""
-    inside = ndimage.binary_erosion(view.mask >= 250, iterations=_MARGIN)
+    cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+    whole = (view.mask >= 250).astype(np.uint8)
+    inside = cv2.erode(whole, cross, iterations=_MARGIN, borderValue=0) > 0
     if inside.sum() < _LEAST:
         return np.full(len(_DIRECTIONS) + 1, np.nan)
-    grey: Array = view.image_display.mean(axis=2, dtype=np.float64)
+    rows, columns = (np.flatnonzero(inside.any(axis=axis)) for axis in (1, 0))
+    frame = tuple(slice(max(0, at[0] - _AROUND), at[-1] + 1 + _AROUND) for at in (rows, columns))
+    inside = inside[frame]
+    grey = view.image_display[frame].mean(axis=2, dtype=np.float32)
 
     def energies(size: float) -> Array:
-        slopes = np.gradient(ndimage.gaussian_filter(grey, size))
-        along = _DIRECTIONS @ np.stack([slope[inside] for slope in slopes])
+        smooth = cv2.GaussianBlur(grey, (0, 0), size, borderType=cv2.BORDER_REFLECT)
+        along = _DIRECTIONS @ np.stack([slope[inside] for slope in np.gradient(smooth)])
         return (along**2).mean(axis=1)
 
     # A little of the coarse keeps a side without any texture from dividing by nothing.
