@@ -15,6 +15,7 @@ from robir.appearance.light.lobes import NO_PRIOR
 from robir.appearance.light.problem import Problem
 from robir.appearance.light.solver import Light, refit
 from robir.appearance.light.sun_search import find_suns, polish
+from robir.workers import side_by_side
 
 _ROOM = 6.0  # radius that is tried first, radii of the thing
 _OTHERS = (12.0, 4.0)  # that are tried once this one explains more than light from afar
@@ -37,11 +38,11 @@ def with_distance(
         solution = refit(scene, start, NO_PRIOR, config)
         return scene, replace(solution, history=light.history)
 
-    # by the same suns: a loss without any compares other pairs
-    _, afar = solved(problem, light)
     if problem.scene.sun is not None:
-        return problem, afar, afar.loss
-    best = solved(room := lit_from(_ROOM), light)
+        return *solved(problem, light), light.loss
+    # by the same suns: a loss without any compares other pairs
+    scenes = problem, (room := lit_from(_ROOM))
+    (_, afar), best = side_by_side(lambda scene: solved(scene, light), scenes)
     if best[1].loss > (1 - _LEAST_GAIN) * afar.loss:
         return problem, afar, afar.loss
     start = light
@@ -51,5 +52,6 @@ def with_distance(
         again = solved(room, moved)
         if again[1].loss < best[1].loss:
             best, start = again, moved
-    trials = (solved(lit_from(distance), start) for distance in _OTHERS)
+    others = [lit_from(distance) for distance in _OTHERS]
+    trials = side_by_side(lambda scene: solved(scene, start), others)
     return *min((best, *trials), key=lambda trial: trial[1].loss), afar.loss
