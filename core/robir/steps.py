@@ -63,7 +63,8 @@ class Pipeline:
         for step in steps:
             if step.name not in self._without:
                 started = time.process_time()
-                before, state = state, step.run(state)
+                before = state  # that of the step before is let go first
+                state = step.run(before)
                 if step.name in _corrections:
                     state = _corrections[step.name](state)
                 spent = time.process_time() - started

@@ -109,8 +109,9 @@ class Texture:
     inside: NDArray[np.bool_]  # (T, T) bool, texels that belong to a chart, row 0 at v = 1
     # face (N,) and barycentric coordinates (N, 3) of the texels that were solved
     atlas: tuple[NDArray[np.int32], Floats]
-    lit: LitTexels  # these texels, whatever their material
     values: TexelAlbedo  # of these texels
+    # the same, whatever their material; None once photographs were heard, as it takes much memory
+    lit: LitTexels | None = field(compare=False)
     pipeline: Pipeline = field(compare=False)  # of the stage's steps, for what is read again
     # result of the photograph check; None before it
     checked: CheckResult | None = field(default=None, compare=False)
@@ -128,6 +129,17 @@ def textured(
     Of an unwrapped mesh, unit frame, with the tracer of the mesh for light. `capture`
     must lack photographs under another light: their shade would darken the texture of all.
     """
+    return pipeline.run(TEXTURE, _read(solved, surface, capture, config, pipeline))
+
+
+def _read(
+    solved: tuple[Problem, Light, SpecularMaterial],
+    surface: tuple[Mesh, EmbreeTracer],
+    capture: Capture,
+    config: AppearanceConfig,
+    pipeline: Pipeline,
+) -> Texture:
+    """Texels as they are read in the photographs."""
     (problem, light, specular), (mesh, tracer) = solved, surface
     side = solved_side(config, mesh.cells)
     face, barycentric = rasterise_atlas(mesh, side)
@@ -139,7 +151,7 @@ def textured(
     views = resize_views(spread, side)
     texels = Texels(position=position, normal=normal)
     lit = LitTexels.of((problem, light), texels, views, tracer)
-    start = Texture(
+    return Texture(
         problem=problem,
         light=light,
         specular=specular,
@@ -154,22 +166,27 @@ def textured(
         values=texel_albedo(lit, specular, pipeline),
         pipeline=pipeline,
     )
-    return pipeline.run(TEXTURE, start)
 
 
 def _check_photographs(state: Texture) -> Texture:
     asset = Asset(
         problem=state.problem, light=state.light, specular=state.specular, values=state.values
     )
-    texels = state.lit.texels
+    if (lit := state.lit) is None:
+        raise RuntimeError("photographs were heard before")
+    texels = lit.texels
 
     def read(specular: SpecularMaterial) -> TexelAlbedo:
-        return texel_albedo(state.lit, specular, state.pipeline)
+        return texel_albedo(lit, specular, state.pipeline)
 
     check = PhotographCheck(state.problem, texels, state.views, state.tracer)
     checked = check_asset(check, asset, read, texels)
     return replace(
-        state, specular=checked.asset.specular, values=checked.asset.values, checked=checked
+        state,
+        lit=None,
+        specular=checked.asset.specular,
+        values=checked.asset.values,
+        checked=checked,
     )
 
 
