@@ -11,7 +11,7 @@ import torch
 from appearance import synthetic
 
 from robir.appearance.config import AppearanceConfig
-from robir.appearance.held_out_suns import lead_in_errors, with_tested_suns
+from robir.appearance.held_out_suns import lead_in_errors, together, with_tested_suns
 from robir.appearance.held_out_test import HeldOutTest
 from robir.appearance.light.problem import make_problem
 from robir.appearance.light.solver import fit, no_suns
@@ -106,6 +106,18 @@ def test_shadows_tell_of_a_sun_on_what_has_no_highlights(is_there):
     # floor and boxes are brighter than paint commonly is, and throw much light on each other
     taken, _, choice = proven(scene, light, 0.0 if is_there else 0.6, without=["level"])
     assert len(taken.light.axes) == is_there, choice.why
+
+
+# leads by views and across shadows of suns in captures, and whether these are true
+SEEN = [
+    (2.5, -4.4, True), (3.4, -5.8, True), (1.5, -5.7, True), (-1.5, 10.0, True),
+    (-6.6, 2.5, False), (-5.2, 3.9, False), (-3.8, 0.0, False), (0.0, -4.0, False),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("views", "shadows", "is_true"), SEEN)
+def test_shadows_do_not_refuse_a_sun_that_views_speak_for(views, shadows, is_true):
+    assert (together(views, shadows) > -0.5) == is_true
 
 
 def test_a_lead_counts_against_its_error_and_a_tenth_of_a_code():

@@ -4,7 +4,8 @@
 A surface that is a percent off casts shadows of its own, and one of thousands of directions fits
 those. So the light is solved once more by the sky alone. Two tests compare both: views predicted
 from others, and albedo across the suns' shadows. Their standard errors are added as Stouffer's sum
-of independent tests (Stouffer et al. 1949, "The American Soldier" I).
+of independent tests (Stouffer et al. 1949, "The American Soldier" I). Suns that views speak for are
+not refused by shadows: of pairs that are alike by the sky alone, a strong shadow has none.
 """
 
 from __future__ import annotations
@@ -36,6 +37,8 @@ _NUM_SAMPLES = 4000  # samples by which views are predicted from others
 # stay (standard errors)
 _MARGIN = -0.5
 
+_FOR = 1.0  # standard errors from which views speak for suns
+
 
 def with_tested_suns(
     tone: ToneChoice, solution: Solution, sky: Light, pipeline: Pipeline
@@ -49,7 +52,7 @@ def with_tested_suns(
     plain = replace(solution, light=replace(by_all, history=(sky.loss,)))
     views = lead_in_errors(compared(plain, solution), CODE_ERROR)
     shadows = lead_across_shadows(plain, solution)
-    leads = (views + shadows) / np.sqrt(2)
+    leads = together(views, shadows)
     is_kept, taken = leads > _MARGIN, solution
     if not is_kept:
         start = replace(sky, history=(sky.loss,))
@@ -64,6 +67,13 @@ def with_tested_suns(
         f"{_MARGIN:g} are asked for",
     )
     return replace(taken, choices=(*taken.choices, choice))
+
+
+def together(views: float, shadows: float) -> float:
+    """Standard errors for suns, of those by views and across shadows."""
+    if views > _FOR:
+        shadows = max(shadows, 0.0)
+    return (views + shadows) / 2**0.5
 
 
 def lead_across_shadows(plain: Solution, rich: Solution) -> float:

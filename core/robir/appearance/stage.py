@@ -42,7 +42,7 @@ from robir.transport.baked import Transport
 from robir.transport.observe import MASK_INSIDE
 from robir.workers import meanwhile
 
-REVISION = 102
+REVISION = 103
 
 
 # all steps of the stage, in their order
