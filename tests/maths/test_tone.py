@@ -217,7 +217,8 @@ def test_a_cameras_response_is_the_one_that_scenes_are_photographed_by():
 @pytest.mark.parametrize("curve", tone.families(), ids=identifier)
 def test_a_code_means_what_its_display_value_does(curve):
     codes = torch.randint(0, 256, (5, 400, 3), generator=torch.Generator().manual_seed(1))
+    known = codes.sum(2) % 5 > 0
     expected = curve.linear_from_display(codes / 255.0).float()
-    found = curve.linear_from_codes(codes.to(torch.uint8))
+    found = curve.linear_from_codes(codes.to(torch.uint8), known)
     assert found.dtype == torch.float32
-    torch.testing.assert_close(found, expected, rtol=1e-5, atol=1e-7)
+    torch.testing.assert_close(found[known], expected[known], rtol=1e-5, atol=1e-7)

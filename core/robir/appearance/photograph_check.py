@@ -306,7 +306,7 @@ def _without(
 
 
 def _joined(asset: Asset, other: Asset, samples: Floats, texels: Floats) -> Asset:
-    """The asset with so much of the other at each sample (S,) and texel (N,): no edge is left."""
+    """The asset with so much of the other, 0..1, at each sample (S,) and texel (N,)."""
     specular = {
         name: _mixed(getattr(asset.specular, name), getattr(other.specular, name), samples)
         for name in ("roughness", "metallic", "floor", "kept")

@@ -25,7 +25,7 @@ from robir.appearance.smooth_normals import SURFACE, LitSurface
 from robir.appearance.solution import SOLUTION, Solution, solve
 from robir.appearance.texture.albedo import ALBEDO
 from robir.appearance.texture.texels import TexelAlbedo
-from robir.appearance.texturing import TEXTURE, textured
+from robir.appearance.texturing import TEXTURE, Texture
 from robir.appearance.tone.choose import SEARCH, ToneChoice, choose_tone_curve
 from robir.appearance.tone.ranking import PLAIN, albedo_apart, fits_alike
 from robir.capture.arrays import PICTURES, stored_arrays
@@ -78,8 +78,8 @@ def run(context: StageContext[AppearanceConfig]) -> dict[str, Any]:
     problem, light, specular = solution.matte, solution.light, solution.material
     seconds["light"] = time.process_time() - started - seconds["tone_curve"]
     reporter.progress(0.7, "reading the textures from the photographs")
-    shape = lit.mesh, tracer
-    texture = textured((problem, light, specular), shape, capture.without(other), config, pipeline)
+    solved, shape, seen = (problem, light, specular), (lit.mesh, tracer), capture.without(other)
+    texture = pipeline.run(TEXTURE, Texture.of(solved, shape, seen, config, pipeline))
     light, specular, inside = texture.light, texture.specular, texture.inside
     values = texture.values
     reporter.progress(0.9, "rendering held-out views")

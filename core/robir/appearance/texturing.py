@@ -116,56 +116,46 @@ class Texture:
     # result of the photograph check; None before it
     checked: CheckResult | None = field(default=None, compare=False)
 
+    @classmethod
+    def of(
+        cls,
+        solved: tuple[Problem, Light, SpecularMaterial],
+        surface: tuple[Mesh, EmbreeTracer],
+        capture: Capture,
+        config: AppearanceConfig,
+        pipeline: Pipeline,
+    ) -> Texture:
+        """Texels as they are read in the photographs.
 
-def textured(
-    solved: tuple[Problem, Light, SpecularMaterial],
-    surface: tuple[Mesh, EmbreeTracer],
-    capture: Capture,
-    config: AppearanceConfig,
-    pipeline: Pipeline,
-) -> Texture:
-    """Texels of the atlas at the side that photographs resolve.
-
-    Of an unwrapped mesh, unit frame, with the tracer of the mesh for light. `capture`
-    must lack photographs under another light: their shade would darken the texture of all.
-    """
-    return pipeline.run(TEXTURE, _read(solved, surface, capture, config, pipeline))
-
-
-def _read(
-    solved: tuple[Problem, Light, SpecularMaterial],
-    surface: tuple[Mesh, EmbreeTracer],
-    capture: Capture,
-    config: AppearanceConfig,
-    pipeline: Pipeline,
-) -> Texture:
-    """Texels as they are read in the photographs."""
-    (problem, light, specular), (mesh, tracer) = solved, surface
-    side = solved_side(config, mesh.cells)
-    face, barycentric = rasterise_atlas(mesh, side)
-    inside = face >= 0
-    atlas = (face[inside], barycentric[inside].astype(np.float32))
-    position, normal = interpolate(mesh, *atlas)
-    # a pixel about as large as a texel
-    spread = spread_views(capture.train, _ALBEDO_VIEWS)
-    views = resize_views(spread, side)
-    texels = Texels(position=position, normal=normal)
-    lit = LitTexels.of((problem, light), texels, views, tracer)
-    return Texture(
-        problem=problem,
-        light=light,
-        specular=specular,
-        mesh=mesh,
-        tracer=tracer,
-        capture=capture,
-        views=views,
-        config=config,
-        inside=inside,
-        atlas=atlas,
-        lit=lit,
-        values=texel_albedo(lit, specular, pipeline),
-        pipeline=pipeline,
-    )
+        Of an unwrapped mesh, unit frame, with the tracer of the mesh for light. `capture` must lack
+        photographs under another light: their shade would darken the texture of all.
+        """
+        (problem, light, specular), (mesh, tracer) = solved, surface
+        side = solved_side(config, mesh.cells)
+        face, barycentric = rasterise_atlas(mesh, side)
+        inside = face >= 0
+        atlas = (face[inside], barycentric[inside].astype(np.float32))
+        position, normal = interpolate(mesh, *atlas)
+        # a pixel about as large as a texel
+        spread = spread_views(capture.train, _ALBEDO_VIEWS)
+        views = resize_views(spread, side)
+        texels = Texels(position=position, normal=normal)
+        lit = LitTexels.of((problem, light), texels, views, tracer)
+        return cls(
+            problem=problem,
+            light=light,
+            specular=specular,
+            mesh=mesh,
+            tracer=tracer,
+            capture=capture,
+            views=views,
+            config=config,
+            inside=inside,
+            atlas=atlas,
+            lit=lit,
+            values=texel_albedo(lit, specular, pipeline),
+            pipeline=pipeline,
+        )
 
 
 def _check_photographs(state: Texture) -> Texture:

@@ -68,13 +68,17 @@ class AbstractToneCurve(ABC):
     def linear_from_display(self, rgb_display: Tensor) -> Tensor:
         """Scene radiance, linear Rec.709, 0..MAX_LINEAR, of display codes 0..1, (..., 3)."""
 
-    def linear_from_codes(self, codes: Tensor) -> Tensor:
-        """Scene radiance float32, linear Rec.709, of 8-bit display codes (..., 3) uint8."""
-        if self.mixes_channels:
-            return self.linear_from_display(codes.float() / 255.0).float()
-        levels = (torch.arange(256) / 255.0)[:, None].expand(-1, 3)
-        table = self.linear_from_display(levels).float()
-        return table[codes.long(), torch.arange(3)]
+    def linear_from_codes(self, codes: Tensor, known: Tensor) -> Tensor:
+        """Scene radiance float32, linear Rec.709, of 8-bit display codes (..., 3) uint8.
+
+        Anything where they are not `known` (...) bool.
+        """
+        if not self.mixes_channels:
+            levels = (torch.arange(256) / 255.0)[:, None].expand(-1, 3)
+            return self.linear_from_display(levels).float()[codes.long(), torch.arange(3)]
+        linear = torch.zeros(codes.shape)
+        linear[known] = self.linear_from_display(codes[known].float() / 255.0).float()
+        return linear
 
     def slope(self, rgb_linear: Tensor) -> Tensor:
         """Derivative of each display code by its linear value when exposure changes, (..., 3).

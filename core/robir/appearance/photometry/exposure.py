@@ -215,10 +215,5 @@ def decoded(observations: Observations, curve: AbstractToneCurve) -> Tensor:
 
     Anything where a view does not show a point.
     """
-    codes = torch.from_numpy(observations.display)
-    if not curve.mixes_channels:
-        return curve.linear_from_codes(codes)
     seen = torch.from_numpy(observations.weight > 0)
-    linear = torch.zeros(codes.shape)
-    linear[seen] = curve.linear_from_codes(codes[seen])
-    return linear
+    return curve.linear_from_codes(torch.from_numpy(observations.display), seen)

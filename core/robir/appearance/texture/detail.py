@@ -259,8 +259,7 @@ class _Lens:
         """Radiance and where it can be told: wholly on the object and not clipped."""
         image = torch.from_numpy(self._view.image_display)
         counts = (torch.from_numpy(self._view.mask) > MASK_INSIDE) & (image < 255).all(2)
-        radiance = torch.zeros(image.shape)
-        radiance[counts] = self._curve.linear_from_codes(image[counts])
+        radiance = self._curve.linear_from_codes(image, counts)
         return _Levels.of(radiance, counts.float(), most)
 
     def read(
